@@ -107,9 +107,8 @@ def confirm_detection(
 ) -> Detection:
     """Return the detection with p_mine after confirmation, without surroundings.
 
-    It has a Confirmation if its odds allowed one.
-
-    p_by_step has p_mine after each step. A detection that went no further than the detector has one of these reasons:
+    It has a Confirmation if its odds allowed one, and p_by_step has p_mine after each step. A detection that went no
+    further than the detector has one of these reasons:
     `not_looked_at` (odds too low, by the detector or the verifier), `region_too_small`, `geometry_unknown` (altitude or
     range that no sonar can have).
 
@@ -150,15 +149,9 @@ def confirm_detection(
         weight = sizes.weigh(examination.fits)
         log_ratio = _seen(log_ratio + weight.nats, examination.contours)
         p_by_step["shape"] = odds.p_mine(log_ratio)
-    return msgspec.structs.replace(
-        detection,
-        p_mine=odds.p_mine(log_ratio),
-        p_by_step=p_by_step,
-        surroundings=None,
-        confirmation=_confirmation(
-            detection, detection.surroundings, examination, log_ratio, weight, opinion or NO_OPINION
-        ),
-    )
+    found = _confirmation(detection, detection.surroundings, examination, log_ratio, weight, opinion or NO_OPINION)
+    p_mine = odds.p_mine(log_ratio)
+    return msgspec.structs.replace(detection, p_mine=p_mine, p_by_step=p_by_step, surroundings=None, confirmation=found)
 
 
 def is_worth_confirming(detection: Detection, odds: MineOdds, config: ConfirmConfig) -> bool:

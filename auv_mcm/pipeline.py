@@ -14,7 +14,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager
 from functools import partial
 from itertools import repeat
 from typing import Any, Final
@@ -23,27 +23,20 @@ import msgspec
 import numpy as np
 
 from auv_mcm.budget import Allowance, pay_looks, tile_allowance
-from auv_mcm.classify.odds import configured_odds
-from auv_mcm.classify.size_evidence import size_evidence
-from auv_mcm.classify.targets import configured_targets
+from auv_mcm.chain_models import read_models
 from auv_mcm.classify.verifier import Opinion
 from auv_mcm.clearance.coverage import CoverageGrid, cover_tile, placed_rows, uncovered
 from auv_mcm.clearance.sampling import Sampling
+from auv_mcm.confirm_tile import confirm_tile
 from auv_mcm.confirmation import (
     confirm_detection,
     detector_p_mine,
-    is_worth_confirming,
     opinions_on,
-    without_confirmation,
 )
-from auv_mcm.contacts.background import configured_background
 from auv_mcm.contacts.ledger import Contacts, Ledger
 from auv_mcm.contacts.operating_point import CallWatch, OperatingPoint
 from auv_mcm.defects import Defect, caught, defect_notice
-from auv_mcm.detect.cascade.choose import configured_model, fitting
-from auv_mcm.detect.cascade.model import rejecting_last
 from auv_mcm.detect.detect_tile import OVERLAP_M, TileDetections, detect_tile, worth_looking
-from auv_mcm.detect.gate import configured_gate
 from auv_mcm.detect.place_counts import PlaceCounts
 from auv_mcm.detect.suppress import Suppressor
 from auv_mcm.early import EarlyLook
@@ -55,7 +48,6 @@ from auv_mcm.records import (
     Contact,
     CoveragePatch,
     Detection,
-    Detector,
     EchoTrace,
     NavSample,
     Notice,
@@ -70,6 +62,15 @@ from auv_mcm.seabed.seabed_cells import seabed_cells
 from auv_mcm.seabed.seabed_model import configured_seabed_model
 from auv_mcm.settings.config import Config
 from auv_mcm.skips import NO_SKIPS, Skips
+from auv_mcm.stage_costs import UNTIMED, Timed
+from auv_mcm.tile_notices import (
+    candidates_over_budget,
+    cheapest_pass_over,
+    confirmation_failed,
+    early_look_failed,
+    looks_over_budget,
+    tile_limited,
+)
 from auv_mcm.waterfall.law_watch import LawVerdict, LawWatch
 from auv_mcm.waterfall.radiometry import REFERENCE_PINGS
 from auv_mcm.waterfall.sample_checks import SampleCheck
@@ -142,20 +143,8 @@ class Pipeline:
         self._suppressors = {
             side: Suppressor(config.detect, config.waterfall.row_spacing_m, self._counts) for side in SIDES
         }
-        model, self._detector = fitting(configured_model(config), config)
-        detector: Detector = "contrast" if model is None else "cascade"
-        self._odds = configured_odds(config, detector)
-        sizes = size_evidence(configured_targets(config.confirm.targets))
-        # The gate forecasts what confirmation says, and backgrounds are known in log-odds that it ends with.
-        gate = configured_gate(config.detect.gate) if config.confirm.enabled else None
-        background = configured_background(config.contacts.background, detector) if config.confirm.enabled else None
-        change = self._odds.recalibrated
-        if gate is not None and change is not None:
-            gate = gate.recalibrated(change.slope, change.offset_nats)
-        if background is not None and change is not None:
-            background = background.recalibrated(change.slope, change.offset_nats, change.background_nats)
-        if model is not None and "cascade-rejection" in without_skips:
-            model = rejecting_last(model)
+        models, self._detector = read_models(config, without_skips)
+        model, gate, self._odds, background, sizes = models
         own = partial(detect_tile, config=config, model=model, gate=gate, without_skips=without_skips)
         self._detect_in: Callable[[Tile, int | None], TileDetections] = (
             (lambda tile, max_evaluations: own(tile, max_evaluations=max_evaluations))
@@ -179,26 +168,16 @@ class Pipeline:
             else lambda detection, _: look(detection)
         )
         self._asks_network = look is None and self._odds.verifier is not None
-        self._ledger = Ledger(config.contacts, self._odds.prior if config.confirm.enabled else 0.0, kept)
+        prior = self._odds.prior if config.confirm.enabled else 0.0
+        self._ledger = Ledger(config.contacts, prior, kept)
         self._calls = CallWatch(config.contacts, background)
-        self.constants: dict[str, object] = {
-            "config": config,
-            "model": model,
-            "gate": gate,
-            "odds": self._odds,
-            "background": background,
-            "sizes": sizes,
-        }
+        self.constants: dict[str, object] = {"config": config, **models._asdict()}
         """What the state holds and never changes, by name; see `auv_mcm.frozen_state`."""
         # A model of the sea floor is read only where it is used, so that a new one can be fitted whatever the shipped
         # one measures.
         self._seabed_of = seabed or partial(seabed_cells, model=configured_seabed_model(config))
         self._places = PlaceCounts()
-        self._early = (
-            EarlyLook(config, model, gate, self._odds, self._odds.prior if config.confirm.enabled else 0.0, sizes)
-            if early
-            else None
-        )
+        self._early = EarlyLook(config, model, gate, self._odds, prior, sizes) if early else None
         self._grid: CoverageGrid | None = None
         self._threads = ThreadPoolExecutor(threads) if threads > 1 else None
         self._finished = False
@@ -366,16 +345,7 @@ class Pipeline:
         if not isinstance(found, Defect):
             return [*found]
         self._counts["pipeline.early_look_failed"] += 1
-        if self._counts["pipeline.early_look_failed"] > 1:
-            return []
-        return [
-            defect_notice(
-                found,
-                "the early look",
-                "Contacts come when their tile is complete; the mission goes on.",
-                "newest rows",
-            )
-        ]
+        return [] if self._counts["pipeline.early_look_failed"] > 1 else [early_look_failed(found)]
 
     def _look(self, tiles: list[Tile]) -> list[PipelineEvent]:
         if not tiles:
@@ -404,13 +374,13 @@ class Pipeline:
             self._places.add(tile, result)
             self._counts["detect.candidate"] += len(result.detections)
             if result.n_over_budget and not self._counts["detect.over_budget"]:
-                events.append(_over_budget(tile, result))
+                events.append(candidates_over_budget(tile, result))
             self._counts["detect.gated"] += len(result.faint.rows)
             self._counts["detect.windows"] += result.n_windows
             self._counts["detect.evaluations"] += result.n_evaluations
             self._counts["detect.windows_cut"] += result.n_cut
             if result.covered_share < 1.0 and not self._counts["budget.tile_limited"] and self._room >= 1.0:
-                events.append(_tile_limited(tile, result))
+                events.append(tile_limited(tile, result))
             self._counts["budget.tile_limited"] += result.covered_share < 1.0
             self._counts["detect.windows_rejected"] += result.n_rejected
             self._counts["detect.pixels_bounded"] += result.n_bounded
@@ -483,20 +453,24 @@ class Pipeline:
         dear = [(tile, one) for tile, one in zip(tiles, allowances, strict=True) if one.cheapest_us > one.total_us]
         is_first = not self._counts["budget.cheapest_pass_over"] and self._room >= 1.0
         self._counts["budget.cheapest_pass_over"] += len(dear)
-        return [_cheapest_pass_over(*dear[0])] if dear and is_first else []
+        return [cheapest_pass_over(*dear[0])] if dear and is_first else []
 
     def _conclude(self, settled: list[list[Detection]]) -> list[PipelineEvent]:
         """Confirm what has become final, tile by tile, and report the contacts that come of it."""
         events: list[PipelineEvent] = []
         final: list[Detection] = []
+        config, mapped = self._config.confirm, map if self._threads is None else self._threads.map
         with self._timed("confirm"):
             for detections in settled:
-                looked_at, n_over_budget, defects = self._confirm(detections)
-                events += self._looks_failed(defects)
+                done = confirm_tile(
+                    detections, config, self._odds, self._opinions, self._look_closely, mapped, self._without_skips
+                )
+                events += self._looks_failed(done.defects)
+                n_over_budget = done.counts["confirm.over_budget"]
                 if n_over_budget and not self._counts["confirm.over_budget"]:
-                    events.append(_looks_over_budget(detections[0], n_over_budget))
-                self._counts["confirm.over_budget"] += n_over_budget
-                final += looked_at
+                    events.append(looks_over_budget(detections[0], n_over_budget))
+                self._counts.update(done.counts)
+                final += done.detections
         with self._timed("ledger"):
             changed = self._ledger.add(final)
         with self._timed("calls"):
@@ -509,54 +483,7 @@ class Pipeline:
     def _looks_failed(self, defects: list[tuple[Detection, Defect]]) -> list[PipelineEvent]:
         first = not self._counts["pipeline.close_look_failed"]
         self._counts["pipeline.close_look_failed"] += len(defects)
-        if not defects or not first:
-            return []
-        detection, defect = defects[0]
-        place = f"{detection.side}, ping {detection.ping_number}"
-        return [
-            defect_notice(
-                defect, "confirmation", "That detection keeps the detector's p_mine; the mission goes on.", place
-            )
-        ]
-
-    def _confirm(self, detections: list[Detection]) -> tuple[list[Detection], int, list[tuple[Detection, Defect]]]:
-        """Confirm the detections of one tile.
-
-        Returns them; how many more there were than may be; those on which confirmation failed.
-        """
-        config = self._config.confirm
-        if not config.enabled:
-            return [msgspec.structs.replace(detection, surroundings=None) for detection in detections], 0, []
-        # Without a bound nothing is asked of the odds, so that new ones can be fitted on features that they do not
-        # know.
-        takes_all = config.min_p_mine <= 0.0 or "detector-odds" in self._without_skips
-        worthwhile = [takes_all or is_worth_confirming(detection, self._odds, config) for detection in detections]
-        wanted = [d for d, worth in zip(detections, worthwhile, strict=True) if worth]
-        best_first = sorted(
-            (d for d in wanted if d.surroundings is not None), key=lambda d: (-d.p_mine, d.row, d.column)
-        )
-        unpaid = [d for d in wanted if d.surroundings is None]
-        self._counts["confirm.beyond_budget"] += len(unpaid)
-        most = len(best_first) if "look-limit" in self._without_skips else config.max_per_tile
-        chosen, rest = best_first[:most], best_first[most:]
-        mapped = map if self._threads is None else self._threads.map
-        tried = chosen + [d for d, worth in zip(detections, worthwhile, strict=True) if not worth]
-        known = self._opinions(chosen)
-        looks = list(mapped(lambda one, opinion: caught(partial(self._look_closely, one, opinion)), tried, known))
-        defects = [(detection, look) for detection, look in zip(tried, looks, strict=True) if isinstance(look, Defect)]
-        looked_at = [look for look in looks if not isinstance(look, Defect)]
-        for detection in looked_at:
-            found = detection.confirmation
-            ended = found is None and "verifier" in detection.p_by_step
-            self._counts["confirm.ended_at_verifier"] += ended
-            self._counts["confirm.odds_too_low"] += found is None and not ended
-            self._counts["confirm.looked_at"] += found is not None
-            self._counts["confirm.rejected"] += found is not None and found.rejected
-            self._counts["confirm.ended_at_contours"] += found is not None and "shape" not in detection.p_by_step
-            self._counts["confirm.solids_not_refined"] += 0 if found is None else found.n_not_refined
-        looked_at += [without_confirmation(detection, self._odds, "look_failed") for detection, _ in defects]
-        left_out = [without_confirmation(detection, self._odds, "over_budget") for detection in rest + unpaid]
-        return looked_at + left_out, len(rest), defects
+        return [confirmation_failed(*defects[0])] if defects and first else []
 
     def _opinions(self, chosen: list[Detection]) -> Iterator[Opinion | None]:
         """Yield the network's opinions on those chosen, all asked together, then None without end.
@@ -570,70 +497,4 @@ class Pipeline:
         yield from repeat(None)
 
     def _timed(self, stage: str) -> AbstractContextManager[None]:
-        return _UNTIMED if self._timer is None else _Timed(stage, self._timer, self.costs_s)
-
-
-_UNTIMED: Final = nullcontext()
-
-
-class _Timed:
-    """Add what a stage takes to its costs. Several are entered per ping, so this is no generator."""
-
-    __slots__ = ("_costs_s", "_stage", "_start_s", "_timer")
-
-    def __init__(self, stage: str, timer: Callable[[], float], costs_s: dict[str, float]) -> None:
-        self._stage, self._timer, self._costs_s = stage, timer, costs_s
-
-    def __enter__(self) -> None:
-        self._start_s = self._timer()
-
-    def __exit__(self, *_: object) -> None:
-        self._costs_s[self._stage] = self._costs_s.get(self._stage, 0.0) + self._timer() - self._start_s
-
-
-def _looks_over_budget(detection: Detection, n_over_budget: int) -> Notice:
-    return Notice(
-        code="confirm.over_budget",
-        text=f"{n_over_budget} detections beyond the limit of a tile were not confirmed; they keep the detector's "
-        "p_mine. Raise confirm.max_per_tile if the computer can afford it. Further ones are only counted.",
-        place=f"{detection.side}, ping {detection.ping_number}",
-    )
-
-
-def _cheapest_pass_over(tile: Tile, allowance: Allowance) -> Notice:
-    share = (
-        "unknown"
-        if allowance.total_us <= 0.0
-        else f"{allowance.cheapest_us / allowance.total_us:.2g} times what budget.duty allows"
-    )
-    return Notice(
-        code="budget.cheapest_pass_over",
-        text=f"the cheapest pass over a tile, which is always done, costs {share} by the price list: nothing is left "
-        "for the cascade and examinations. Raise budget.duty, or measure this computer with 'auv-mcm calibrate "
-        "budget'. More are counted.",
-        place=f"{tile.side} tile {tile.index}",
-    )
-
-
-def _tile_limited(tile: Tile, result: TileDetections) -> Notice:
-    cut = (
-        f"before the cascade had been through {result.n_cut} of its {result.n_windows} places"
-        if result.n_cut
-        else "before all examinations"
-    )
-    return Notice(
-        code="budget.tile_limited",
-        text=f"a tile's budget ended {cut}; the likeliest came first, and it earns {result.covered_share:.0%} of its "
-        "coverage. Raise budget.duty if the computer can afford it. Further ones are only counted.",
-        place=f"{tile.side} tile {tile.index}",
-    )
-
-
-def _over_budget(tile: Tile, result: TileDetections) -> Notice:
-    return Notice(
-        code="detect.over_budget",
-        text=f"{result.n_over_budget} candidates beyond the budget of a tile were not looked at (the "
-        f"{len(result.detections)} best were). Raise detect.max_candidates_per_tile if the computer can afford it. "
-        "Further ones are only counted.",
-        place=f"{tile.side} tile {tile.index}",
-    )
+        return UNTIMED if self._timer is None else Timed(stage, self._timer, self.costs_s)

@@ -15,7 +15,7 @@ from auv_mcm.detect.cascade.model import CascadeModel
 from auv_mcm.detect.gate import Gate
 from auv_mcm.detect.measure import ROWS_M, Measurement, measure
 from auv_mcm.detect.prescreen import CONTEXT_M, Peak
-from auv_mcm.geometry.georeference import aspect_deg, locate, position_covariance, tile_echoes
+from auv_mcm.geometry.georeference import EchoGeometry, aspect_deg, locate, position_covariance, tile_echoes
 from auv_mcm.geometry.pose_track import slice_pose
 from auv_mcm.records import LOW_RESOLUTION, VALID, Detection, Surroundings, Tile
 from auv_mcm.settings.config import Config
@@ -136,29 +136,50 @@ def _within_reach(tile: Tile) -> Tile:
     )
 
 
+class _Places(NamedTuple):
+    """Hold where n measurements lie. position: (n,) rows of their poses. covariance_m2: (n, 2, 2), north and east."""
+
+    position: NDArray[np.float64]
+    echoes: EchoGeometry
+    ground_range_m: NDArray[np.float64]
+    latitude_deg: NDArray[np.float64]
+    longitude_deg: NDArray[np.float64]
+    depth_m: NDArray[np.float64]
+    covariance_m2: NDArray[np.float64]
+    aspect_deg: NDArray[np.float64]
+    first_return_sigma_m: NDArray[np.float64]
+
+
+def _places_of(tile: Tile, config: Config, measured: list[Measurement]) -> _Places:
+    """Locate measurements on Earth, NaN where that cannot be done."""
+    # Measured rows count from the upper edge of row 0, poses stand at row centres.
+    position = np.clip(np.array([m.row for m in measured]) - 0.5, 0.0, len(tile.pose) - 1.0)
+    ground_range_m = np.array([m.column for m in measured]) * tile.column_spacing_m
+    echoes = tile_echoes(tile, position, ground_range_m)
+    pose = echoes.pose
+    latitude, longitude, height = locate(echoes, config.sonar)
+    depth_m = np.where(np.isfinite(pose.depth_m), -height, np.nan)  # without a depth, heights start at the vehicle
+    sigma_m = _between(tile.first_return_sigma_m, position)
+    covariance = position_covariance(echoes, config.sonar, config.navigation, sigma_m)
+    added_m2 = pose.position_sigma_m**2 + np.where(pose.stale, _STALE_SIGMA_M**2, 0.0)
+    covariance += added_m2[:, np.newaxis, np.newaxis] * np.eye(2)
+    aspect = aspect_deg(echoes, config.sonar, tile.squint_rad)
+    return _Places(position, echoes, ground_range_m, latitude, longitude, depth_m, covariance, aspect, sigma_m)
+
+
 def _placed(
     tile: Tile, config: Config, candidates: list[Candidate], measured: list[Measurement]
 ) -> tuple[Detection, ...]:
     if not candidates:
         return ()
-    # Measured rows count from the upper edge of row 0, poses stand at row centres.
-    position = np.clip(np.array([m.row for m in measured]) - 0.5, 0.0, len(tile.pose) - 1.0)
-    ground_range_m = np.array([m.column for m in measured]) * tile.column_spacing_m
-    echoes = tile_echoes(tile, position, ground_range_m)
-    pose, first_return_m = echoes.pose, echoes.first_return_m
-    latitude, longitude, height = locate(echoes, config.sonar)
-    depth_m = np.where(np.isfinite(pose.depth_m), -height, np.nan)  # without a depth, heights start at the vehicle
-    first_return_sigma_m = _between(tile.first_return_sigma_m, position)
-    covariance = position_covariance(echoes, config.sonar, config.navigation, first_return_sigma_m)
-    added_m2 = pose.position_sigma_m**2 + np.where(pose.stale, _STALE_SIGMA_M**2, 0.0)
-    covariance += added_m2[:, np.newaxis, np.newaxis] * np.eye(2)
-    aspect = aspect_deg(echoes, config.sonar, tile.squint_rad)
+    places = _places_of(tile, config, measured)
+    pose, first_return_m = places.echoes.pose, places.echoes.first_return_m
     detections = []
     for index, (candidate, m) in enumerate(zip(candidates, measured, strict=True)):
-        if not (math.isfinite(latitude[index]) and math.isfinite(longitude[index])):
+        if not (math.isfinite(places.latitude_deg[index]) and math.isfinite(places.longitude_deg[index])):
             continue
         odds, reasons = with_measurement(candidate.odds, m, config.detect.max_object_m)
-        if first_return_sigma_m[index] > _UNSEEN_BOTTOM * first_return_m[index]:
+        if places.first_return_sigma_m[index] > _UNSEEN_BOTTOM * first_return_m[index]:
             reasons = (*reasons, "bottom_not_seen")
         if pose.stale[index]:
             reasons = (*reasons, "stale_navigation")
@@ -168,19 +189,19 @@ def _placed(
                 row=tile.first_row + m.row,
                 column=m.column,
                 time_s=float(pose.time_s[index]),
-                ping_number=int(tile.ping_number[round(position[index])]),
-                latitude_deg=float(latitude[index]),
-                longitude_deg=float(longitude[index]),
-                covariance_m2=covariance[index],
+                ping_number=int(tile.ping_number[round(places.position[index])]),
+                latitude_deg=float(places.latitude_deg[index]),
+                longitude_deg=float(places.longitude_deg[index]),
+                covariance_m2=places.covariance_m2[index],
                 heading_rad=float(pose.heading_rad[index]),
-                aspect_deg=float(aspect[index]),
-                ground_range_m=float(ground_range_m[index]),
-                slant_range_m=float(echoes.slant_range_m[index]),
+                aspect_deg=float(places.aspect_deg[index]),
+                ground_range_m=float(places.ground_range_m[index]),
+                slant_range_m=float(places.echoes.slant_range_m[index]),
                 altitude_m=float(
                     first_return_m[index]
                     * math.cos(pose.pitch_rad[index] + math.radians(config.sonar.pitch_offset_deg))
                 ),
-                depth_m=float(depth_m[index]),
+                depth_m=float(places.depth_m[index]),
                 score=candidate.peak.score,
                 cascade_score=candidate.cascade_score,
                 highlight_db=m.highlight_db,

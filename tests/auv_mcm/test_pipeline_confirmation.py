@@ -95,7 +95,7 @@ def test_without_a_bound_every_detection_is_looked_at_whatever_features_the_odds
     odds = MineOdds(
         fitted_on="nothing", prior=-4.0, detector=of_other_features, contours=of_other_features, shape=of_other_features
     )
-    monkeypatch.setattr("auv_mcm.pipeline.configured_odds", lambda name, detector: odds)
+    monkeypatch.setattr("auv_mcm.chain_models.configured_odds", lambda name, detector: odds)
     seen: list[Detection] = []
 
     def look(detection: Detection) -> Detection:

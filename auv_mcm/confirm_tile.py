@@ -1,0 +1,91 @@
+"""Confirm the detections of one tile, the likeliest first, as many as its limit and its budget allow."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
+from typing import NamedTuple, Protocol
+
+import msgspec
+
+from auv_mcm.classify.odds import MineOdds
+from auv_mcm.classify.verifier import Opinion
+from auv_mcm.confirmation import is_worth_confirming, without_confirmation
+from auv_mcm.defects import Defect, caught
+from auv_mcm.records import Detection
+from auv_mcm.settings.config import ConfirmConfig
+from auv_mcm.skips import NO_SKIPS, Skips
+
+Look = Callable[[Detection, Opinion | None], Detection]
+"""Confirm a detection, with the network's opinion where it is known."""
+
+
+class Map(Protocol):
+    """Apply a function to detections and opinions in turn, in threads or not."""
+
+    def __call__(
+        self,
+        function: Callable[[Detection, Opinion | None], Detection | Defect],
+        detections: Iterable[Detection],
+        opinions: Iterable[Opinion | None],
+        /,
+    ) -> Iterable[Detection | Defect]:
+        """Return the results in order."""
+        ...
+
+
+class ConfirmedTile(NamedTuple):
+    """Hold the detections of a tile after confirmation, those on which it failed, and counters of what was done."""
+
+    detections: list[Detection]
+    defects: list[tuple[Detection, Defect]]
+    counts: Counter[str]
+
+
+def confirm_tile(
+    detections: list[Detection],
+    config: ConfirmConfig,
+    odds: MineOdds,
+    opinions: Callable[[list[Detection]], Iterator[Opinion | None]],
+    look: Look,
+    mapped: Map = map,
+    without_skips: Skips = NO_SKIPS,
+) -> ConfirmedTile:
+    """Confirm the detections of a tile; all are returned, whatever was done to them.
+
+    Parameters
+    ----------
+    opinions
+        Asks the network about detections together; yields an opinion on each, then None without end.
+    without_skips
+        Those that are switched off.
+    """
+    if not config.enabled:
+        bare = [msgspec.structs.replace(detection, surroundings=None) for detection in detections]
+        return ConfirmedTile(bare, [], Counter())
+    # Without a bound nothing is asked of the odds, so that new ones can be fitted on features that they do not know.
+    takes_all = config.min_p_mine <= 0.0 or "detector-odds" in without_skips
+    worthwhile = [takes_all or is_worth_confirming(detection, odds, config) for detection in detections]
+    wanted = [d for d, worth in zip(detections, worthwhile, strict=True) if worth]
+    best_first = sorted((d for d in wanted if d.surroundings is not None), key=lambda d: (-d.p_mine, d.row, d.column))
+    unpaid = [d for d in wanted if d.surroundings is None]
+    most = len(best_first) if "look-limit" in without_skips else config.max_per_tile
+    chosen, rest = best_first[:most], best_first[most:]
+    tried = chosen + [d for d, worth in zip(detections, worthwhile, strict=True) if not worth]
+    looks = list(mapped(lambda one, opinion: caught(partial(look, one, opinion)), tried, opinions(chosen)))
+    defects = [(detection, done) for detection, done in zip(tried, looks, strict=True) if isinstance(done, Defect)]
+    looked_at = [done for done in looks if not isinstance(done, Defect)]
+    counts = Counter({"confirm.beyond_budget": len(unpaid), "confirm.over_budget": len(rest)})
+    for detection in looked_at:
+        found = detection.confirmation
+        ended = found is None and "verifier" in detection.p_by_step
+        counts["confirm.ended_at_verifier"] += ended
+        counts["confirm.odds_too_low"] += found is None and not ended
+        counts["confirm.looked_at"] += found is not None
+        counts["confirm.rejected"] += found is not None and found.rejected
+        counts["confirm.ended_at_contours"] += found is not None and "shape" not in detection.p_by_step
+        counts["confirm.solids_not_refined"] += 0 if found is None else found.n_not_refined
+    looked_at += [without_confirmation(detection, odds, "look_failed") for detection, _ in defects]
+    looked_at += [without_confirmation(detection, odds, "over_budget") for detection in rest + unpaid]
+    return ConfirmedTile(looked_at, defects, counts)
