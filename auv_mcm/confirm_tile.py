@@ -40,7 +40,7 @@ class ConfirmedTile(NamedTuple):
 
     detections: list[Detection]
     defects: list[tuple[Detection, Defect]]
-    counts: Counter[str]
+    counters: Counter[str]
 
 
 def confirm_tile(
@@ -76,16 +76,18 @@ def confirm_tile(
     looks = list(mapped(lambda one, opinion: caught(partial(look, one, opinion)), tried, opinions(chosen)))
     defects = [(detection, done) for detection, done in zip(tried, looks, strict=True) if isinstance(done, Defect)]
     looked_at = [done for done in looks if not isinstance(done, Defect)]
-    counts = Counter({"confirm.beyond_budget": len(unpaid), "confirm.over_budget": len(rest)})
+    counters: Counter[str] = Counter()
+    counters["confirm.beyond_budget"] += len(unpaid)
+    counters["confirm.over_budget"] += len(rest)
     for detection in looked_at:
         found = detection.confirmation
         ended = found is None and "verifier" in detection.p_by_step
-        counts["confirm.ended_at_verifier"] += ended
-        counts["confirm.odds_too_low"] += found is None and not ended
-        counts["confirm.looked_at"] += found is not None
-        counts["confirm.rejected"] += found is not None and found.rejected
-        counts["confirm.ended_at_contours"] += found is not None and "shape" not in detection.p_by_step
-        counts["confirm.solids_not_refined"] += 0 if found is None else found.n_not_refined
+        counters["confirm.ended_at_verifier"] += ended
+        counters["confirm.odds_too_low"] += found is None and not ended
+        counters["confirm.looked_at"] += found is not None
+        counters["confirm.rejected"] += found is not None and found.rejected
+        counters["confirm.ended_at_contours"] += found is not None and "shape" not in detection.p_by_step
+        counters["confirm.solids_not_refined"] += 0 if found is None else found.n_not_refined
     looked_at += [without_confirmation(detection, odds, "look_failed") for detection, _ in defects]
     looked_at += [without_confirmation(detection, odds, "over_budget") for detection in rest + unpaid]
-    return ConfirmedTile(looked_at, defects, counts)
+    return ConfirmedTile(looked_at, defects, counters)

@@ -466,10 +466,10 @@ class Pipeline:
                     detections, config, self._odds, self._opinions, self._look_closely, mapped, self._without_skips
                 )
                 events += self._looks_failed(done.defects)
-                n_over_budget = done.counts["confirm.over_budget"]
+                n_over_budget = done.counters["confirm.over_budget"]
                 if n_over_budget and not self._counts["confirm.over_budget"]:
                     events.append(looks_over_budget(detections[0], n_over_budget))
-                self._counts.update(done.counts)
+                self._counts.update(done.counters)
                 final += done.detections
         with self._timed("ledger"):
             changed = self._ledger.add(final)
