@@ -96,10 +96,10 @@ def replay(
     mission = open_mission(logs, config, chunk_bytes)
     return_large_arrays()
     pipeline = Pipeline(config, without_skips=without_skips, threads=threads, timer=clock.monotonic_s)
+    replaying = _Replaying(mission, pipeline, config, found)  # reads tables: what is refused leaves no folder
     make_results_directory(folder)
     # written last: its presence says that the other files belong together
     (folder / "summary.json").unlink(missing_ok=True)
-    replaying = _Replaying(mission, pipeline, config, found)
     replaying.run(Pace(speed, clock), clock, progress)
     summary = replaying.write(folder, judged) | {
         "peak_memory_mb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0, 1),

@@ -82,7 +82,7 @@ def test_as_many_mines_are_expected_as_short_missions_of_the_scenes_leave() -> N
     seen, found = (sum(answer["totals"][name] for answer in stored) for name in ("targets_seen", "targets_found"))
     left = seen - found
     assert seen >= 50
-    assert 0.95 * left <= among <= 1.35 * left, "those without a contact are among what was left"
+    assert 0.95 * left <= among <= 1.5 * left, "those without a contact are among what was left"
 
 
 def test_a_whole_search_without_a_doubt_leaves_nothing() -> None:

@@ -45,8 +45,7 @@ from sim_replay.fitting.recalibrate import (
 )
 from sim_replay.verdicts import Call, Verdict, append_verdict
 from tests.auv_mcm.contacts.test_background import drawn_background
-from tests.auv_mcm.test_pipeline_confirmation import mission as flown_mission
-from tests.auv_mcm.test_pipeline_confirmation import run
+from tests.auv_mcm.test_pipeline_early import mission as flown_mission
 from tests.make.results import write_results
 from tests.sim_replay.report_samples import contact
 
@@ -196,12 +195,13 @@ def test_the_configuration_names_the_file_which_says_where_it_comes_from(tmp_pat
 def test_the_chain_gives_each_contact_the_changed_odds(tmp_path: Path) -> None:
     change = Change(0.9, -0.5, 0.2)
     confirm = ConfirmConfig(odds=str(file_of(change, tmp_path / "odds.json")))
-    pipeline = Pipeline(msgspec.structs.replace(Config(), confirm=confirm))
-    for event in flown_mission():
-        pipeline.feed(event)
-    pipeline.finish()
+    pipeline, unchanged = Pipeline(msgspec.structs.replace(Config(), confirm=confirm)), Pipeline(Config())
+    for chain in (pipeline, unchanged):
+        for event in flown_mission():
+            chain.feed(event)
+        chain.finish()
     # Evidence is bounded at 12 nats, which no change moves.
-    plain = {one.time_s: one.p_mine for one in run(ConfirmConfig())[0].contacts if 0.1 < one.p_mine < 0.999}
+    plain = {one.time_s: one.p_mine for one in unchanged.contacts if 0.1 < one.p_mine < 0.999}
     now = {one.time_s: one.p_mine for one in pipeline.contacts}
     assert plain
     for time_s, p_mine in plain.items():
