@@ -167,7 +167,7 @@ def place_of(latitude_deg: float, longitude_deg: float, report: LogReport) -> tu
 
 
 class SoundingLog:
-    """Read a log of soundings. Iterate for its events in order of time; every iteration starts anew.
+    """Read a log of soundings. Iterate for its events in order of time; every iteration begins at the first.
 
     A position is given only where it differs from the one before. Counts reader.pings, reader.ping_empty,
     reader.repeated_navigation, reader.zero_position, reader.impossible_position, reader.not_used.KIND, and those of
