@@ -6,6 +6,7 @@ import copy
 import io
 import warnings
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -15,10 +16,11 @@ from auv_mcm.classify.chips import N_COLUMNS, N_HEIGHTS, N_PLACE, N_ROWS
 from auv_mcm.classify.verifier import CLASSES
 from auv_mcm.errors import UsageError
 
-N_EPOCHS: Final = 6
-"""Passes over the chips."""
-_BATCH: Final = 128  # chips per step
-_RATE: Final = 2e-3  # highest learning rate, of a single cycle (L. N. Smith and N. Topin, SPIE 11006, 2019)
+N_EPOCHS: Final = 12
+"""Passes over the chips; 6 find .797 for .824 of mines at 100 false alarms per km² on named scenes."""
+_BATCH: Final = 512  # chips per step
+_N_PARTS: Final = 2  # of a step, computed side by side: as many as there are cores
+_RATE: Final = 4e-3  # highest learning rate, of a single cycle (L. N. Smith and N. Topin, SPIE 11006, 2019)
 _DECAY: Final = 1e-2  # of weights (I. Loshchilov and F. Hutter, ICLR 2019)
 _DROPPED: Final = 0.3  # share of the last layers' inputs left out in training
 _KEPT: Final = 0.998  # of the averaged weights per step: a mean over some 500 steps
@@ -53,15 +55,12 @@ def train(
     chips: ChipTable,
     n_epochs: int = N_EPOCHS,
     seed: int = _SEED,
-    threads: int = 1,
     show: Callable[[int, float, Any], None] = lambda epoch, loss, network: None,
 ) -> Any:
     """Train a network to separate CLASSES; returns it with averaged weights, a torch.nn.Module.
 
     Parameters
     ----------
-    threads
-        Of PyTorch: another number may give other weights.
     show
         Takes each epoch's number and mean log-loss, and the averaged network.
 
@@ -71,32 +70,50 @@ def train(
         Without PyTorch.
     """
     torch = _torch()
-    torch.set_num_threads(threads)
-    torch.set_flush_denormal(True)  # a third faster
+    torch.set_num_threads(1)  # of a part: the same sums on any computer
     torch.manual_seed(seed)
-    random = np.random.Generator(np.random.PCG64(seed))
+    random, *by_part = (np.random.Generator(np.random.PCG64([seed, k])) for k in range(1 + _N_PARTS))
     network = network_of().to(memory_format=torch.channels_last)  # a quarter faster
     averaged = copy.deepcopy(network).eval()
+    copies = [network, *(_sharing_weights(network) for _ in range(_N_PARTS - 1))]
+    for number, layer in enumerate(layer for one in copies for layer in one.modules() if hasattr(layer, "random")):
+        layer.random = torch.Generator().manual_seed(seed + number)
     steps = -(-len(chips.label) // _BATCH)
     optimiser = torch.optim.AdamW(network.parameters(), lr=_RATE, weight_decay=_DECAY)
     cycle = torch.optim.lr_scheduler.OneCycleLR(optimiser, max_lr=_RATE, total_steps=n_epochs * steps, pct_start=0.2)
-    log_loss = torch.nn.CrossEntropyLoss(label_smoothing=0.02)
-    for epoch in range(n_epochs):
-        network.train()
-        total = 0.0
-        for chosen in np.array_split(random.permutation(len(chips.label)), steps):
-            metres, heights, place = varied(chips.at(np.sort(chosen)), random)
-            wanted = torch.from_numpy(chips.label[np.sort(chosen)].astype(np.int64))
-            scores = network(torch.from_numpy(metres), torch.from_numpy(heights), torch.from_numpy(place))
-            loss = log_loss(scores, wanted)
-            optimiser.zero_grad()
-            loss.backward()
-            optimiser.step()
-            cycle.step()
-            _average(averaged, network, min(_KEPT, 1.0 - 1.0 / (1.0 + cycle.last_epoch)))
-            total += float(loss.detach()) * len(chosen)
-        show(epoch + 1, total / len(chips.label), averaged)
+    with ThreadPoolExecutor(_N_PARTS, initializer=torch.set_flush_denormal, initargs=(True,)) as pool:  # a third faster
+        for epoch in range(n_epochs):
+            total = 0.0
+            for chosen in np.array_split(random.permutation(len(chips.label)), steps):
+                parts = [chips.at(np.sort(part)) for part in np.array_split(chosen, _N_PARTS)]
+                total += sum(pool.map(_add_slopes, copies, parts, by_part, [len(chosen)] * _N_PARTS))
+                for weight, *others in zip(*(one.parameters() for one in copies), strict=True):
+                    weight.grad = sum((other.grad for other in others), start=weight.grad)
+                optimiser.step()
+                cycle.step()
+                _average(averaged, network, min(_KEPT, 1.0 - 1.0 / (1.0 + cycle.last_epoch)))
+            show(epoch + 1, total / len(chips.label), averaged)
     return averaged
+
+
+def _sharing_weights(network: Any) -> Any:
+    """Copy a network that keeps its own slopes and statistics, but the same weights."""
+    twin = copy.deepcopy(network)
+    for own, shared in zip(twin.parameters(), network.parameters(), strict=True):
+        own.data = shared.data
+    return twin
+
+
+def _add_slopes(network: Any, chips: ChipTable, random: np.random.Generator, n_chips: int) -> float:
+    """Compute the slopes of a part's share in the log-loss of a step of n_chips; returns the sum over the part."""
+    torch = _torch()
+    network.train()
+    network.zero_grad()
+    wanted = torch.from_numpy(chips.label.astype(np.int64))
+    scores = network(*(torch.from_numpy(each) for each in varied(chips, random)))
+    loss = torch.nn.functional.cross_entropy(scores, wanted, label_smoothing=0.02, reduction="sum")
+    (loss / n_chips).backward()
+    return float(loss.detach())
 
 
 def network_of() -> Any:
@@ -104,21 +121,30 @@ def network_of() -> Any:
     torch = _torch()
     nn = torch.nn
 
+    class Dropout(nn.Module):  # type: ignore[misc, name-defined]  # of an untyped package
+        """Leave out inputs in training by random numbers of its own: PyTorch's are shared by threads."""
+
+        random = torch.Generator()
+
+        def forward(self, inputs: Any) -> Any:
+            if not self.training:
+                return inputs
+            kept = torch.empty_like(inputs).bernoulli_(1.0 - _DROPPED, generator=self.random)
+            return inputs * kept / (1.0 - _DROPPED)
+
     def tower(columns: int) -> Any:
         layers = [nn.Conv2d(1, 16, 4, stride=2, padding=1, bias=False), nn.BatchNorm2d(16), nn.ReLU()]
         for n_in, n_out, pools in ((16, 16, True), (16, 32, False), (32, 48, True), (48, 64, False)):
             layers += [nn.Conv2d(n_in, n_out, 3, padding=1, bias=False), nn.BatchNorm2d(n_out), nn.ReLU()]
             layers += [nn.MaxPool2d(2)] if pools else []
         n_left = 64 * (N_ROWS // 8) * (columns // 8)
-        return nn.Sequential(*layers, nn.Flatten(), nn.Dropout(_DROPPED), nn.Linear(n_left, 64), nn.ReLU())
+        return nn.Sequential(*layers, nn.Flatten(), Dropout(), nn.Linear(n_left, 64), nn.ReLU())
 
     class Verifier(nn.Module):  # type: ignore[misc, name-defined]  # of an untyped package
         def __init__(self) -> None:
             super().__init__()
             self.metres, self.heights = tower(N_COLUMNS), tower(N_HEIGHTS)
-            self.joined = nn.Sequential(
-                nn.Linear(128 + N_PLACE, 64), nn.ReLU(), nn.Dropout(_DROPPED), nn.Linear(64, len(CLASSES))
-            )
+            self.joined = nn.Sequential(nn.Linear(128 + N_PLACE, 64), nn.ReLU(), Dropout(), nn.Linear(64, len(CLASSES)))
 
         def forward(self, metres: Any, heights: Any, place: Any) -> Any:
             return self.joined(torch.cat([self.metres(metres), self.heights(heights), place], dim=1))
