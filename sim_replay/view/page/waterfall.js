@@ -6,12 +6,13 @@ import {clock, niceStep} from "./words.js";
 
 const MIN_SCALE = 0.002, MAX_SCALE = 200; // pixels of the screen per metre
 const NEAR_PX = 14; // around a mark or a cross that a click belongs to
+const SHOWN = "sea floor shown"; // the name of that moment in the browser's list of them
 
 export function waterfallView(ground, slant, bottom, handlers) {
   const box = byId("waterfall-view"), picture = byId("waterfall-picture"), marks = byId("waterfall-marks");
   const view = {along: 0, across: 0, scale: 8};
   let grid = null, shown = [], selected = null, mode = "look", first = null, pointer = null, results = [];
-  let times = null, showMarks = true, drag = null, wasFitted = false, tiles = ground;
+  let times = null, showMarks = true, drag = null, wasFitted = false, isShown = false, tiles = ground;
 
   const redraw = perFrame(draw);
   const redrawMarks = perFrame(drawMarks);
@@ -34,7 +35,10 @@ export function waterfallView(ground, slant, bottom, handlers) {
     const {context, width, height} = fitted(picture);
     context.fillStyle = colour("ground");
     context.fillRect(0, 0, width, height);
-    if (grid && grid.row_m) drawTiles(context, width, height);
+    if (grid && grid.row_m && drawTiles(context, width, height) && !isShown) {
+      isShown = true;
+      requestAnimationFrame(() => performance.mark(SHOWN)); // the frame with it is on the screen
+    }
     drawMarks();
   }
 
@@ -51,6 +55,7 @@ export function waterfallView(ground, slant, bottom, handlers) {
     context.imageSmoothingEnabled = columnM * view.scale < 3;
     const ratio = window.devicePixelRatio || 1;
     const snap = (value) => Math.round(value * ratio) / ratio;
+    let nDrawn = 0;
     for (let row = start; row < stop; row++) {
       for (let column = left; column < right; column++) {
         const found = tiles.picture(level, row, column) && {tile: tiles.picture(level, row, column), part: null};
@@ -64,8 +69,10 @@ export function waterfallView(ground, slant, bottom, handlers) {
         const [sx, sy, side] = use.part || [0, 0, TILE];
         context.drawImage(use.tile, sx, sy, side, side, 0, 0, x2 - x, y2 - y);
         context.restore();
+        nDrawn++;
       }
     }
+    return nDrawn;
   }
 
   // A part of a coarser picture stands in until the right one has come.

@@ -86,10 +86,12 @@ async def visiting(mission: ShownMission, go: Callable[[BrowserPage, MissionServ
 
 async def first_pixels(page: BrowserPage, server: MissionServer, record: Record) -> None:
     """Open the page and wait until sea floor is painted."""
-    up_s = time.monotonic()  # the server is up, and so is a browser
+    up_s = time.time()  # the server is up, and so is a browser
     await page.open(server.url)
-    await page.wait_for(f"window.bench && bench.state.stop_row > 0 && {COLOURS} > 50")
-    first_pixels_s = round(time.monotonic() - up_s, 3)
+    shown = "performance.getEntriesByName('sea floor shown')[0]"
+    shown_s = 1e-3 * await page.wait_for(f"{shown} && performance.timeOrigin + {shown}.startTime")
+    await page.wait_for(f"bench.state.stop_row > 0 && {COLOURS} > 50")
+    first_pixels_s = round(shown_s - up_s, 3)
     record("first_pixels_s", first_pixels_s)
     print(json.dumps({"first_pixels_s": first_pixels_s}))
 
