@@ -70,7 +70,7 @@ def train(
         Without PyTorch.
     """
     torch = _torch()
-    torch.set_num_threads(1)  # of a part: the same sums on any computer
+    torch.set_num_threads(1)  # of a part: the same sums with any number of cores
     torch.manual_seed(seed)
     random, *by_part = (np.random.Generator(np.random.PCG64([seed, k])) for k in range(1 + _N_PARTS))
     network = network_of().to(memory_format=torch.channels_last)  # a quarter faster
