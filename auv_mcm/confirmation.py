@@ -141,7 +141,15 @@ def confirm_detection(
         min_p_mine = 0.0
     if "hopeless-solids" in without_skips:
         thoroughness = thoroughness._replace(effort=thoroughness.effort._replace(refines_all=True))
-    examination = examine(detection, region, odds, min_p_mine, thoroughness=thoroughness, ranges=sizes.ranges)
+    examination = examine(
+        detection,
+        region,
+        odds,
+        min_p_mine,
+        thoroughness=thoroughness,
+        ranges=sizes.ranges,
+        measures_features=verified is None,
+    )
     p_by_step["contours"] = examination.p_contours if verified is None else p_by_step["verifier"]
     log_ratio = evidence_of(examination, odds) if verified is None else verified
     weight = NO_WEIGHT
@@ -276,6 +284,7 @@ def examine(
     done: Callable[[ExaminationStep], None] = lambda step: None,
     thoroughness: Thoroughness = _USUAL,
     ranges: SearchRanges = USUAL_RANGES,
+    measures_features: bool = True,
 ) -> Examination:
     """Run the steps until p_mine falls below `min_p_mine`; all steps if `odds` is None.
 
@@ -285,6 +294,8 @@ def examine(
         Called after each step, for benches.
     ranges
         Of the parameters of solids that are searched.
+    measures_features
+        False leaves them empty and p_contours NaN: all steps are taken.
     """
     coarse, fine, n_sweeps, effort = thoroughness
     area = grain_area(region.intensity, region.valid)
@@ -292,10 +303,15 @@ def examine(
     done("survey")
     contours = ground if isinstance(ground, Contours) else converge_on(ground, ground.boxes, coarse=coarse, fine=fine)
     done("first contours")
-    before = detector_features(detection)
-    first = before | contour_features(contours) | outline_features(contours, region)
-    seen = detection_details(detection)
-    p_contours = math.nan if odds is None else odds.p_mine(_ratio("contours", first | seen, contours, odds))
+    before: Features = {}
+    first: Features = {}
+    seen: Features = {}
+    p_contours = math.nan
+    if measures_features:
+        before, seen = detector_features(detection), detection_details(detection)
+        first = before | contour_features(contours) | outline_features(contours, region)
+        if odds is not None:
+            p_contours = odds.p_mine(_ratio("contours", first | seen, contours, odds))
     done("features")
     if p_contours < min_p_mine:
         return Examination(region, contours, None, None, first, first, seen, p_contours)
@@ -311,9 +327,11 @@ def examine(
     image = image_row_sums(region, area)
     fits = fit_to(image, region, contour_cost(image, region, contours, area), effort, ranges)
     done("solids")
-    found = before | contour_features(contours) | outline_features(contours, region)
-    features = with_shape(found, shape_features(fits, segmentation.labels))
-    details = seen | contour_details(contours, region) | solid_details(fits, segmentation.labels, region)
+    features, details = first, seen
+    if measures_features:
+        found = before | contour_features(contours) | outline_features(contours, region)
+        features = with_shape(found, shape_features(fits, segmentation.labels))
+        details = seen | contour_details(contours, region) | solid_details(fits, segmentation.labels, region)
     done("features")
     return Examination(region, contours, segmentation, fits, first, features, details, p_contours)
 

@@ -20,8 +20,9 @@ enum {
     N_ENDS = 3,
     MAX_TAPS = 3,
     MIXTURES = 27,
-    BLOCK = 96
-}; /* 3 to the power of MAX_TAPS; slices */
+    BLOCK = 96,
+    VECTOR = 4
+}; /* 3 to the power of MAX_TAPS; slices; those that wide vectors hold */
 enum { SUNK = 7, RATIO = 8, N_FACTORS = 9 };
 
 #define FORBIDDEN 1e12
@@ -57,6 +58,7 @@ typedef struct {
     double row_m, column_m, first_m, altitude, weight, smear, shear;
     const double *echoes, *counts;
     double total, n_total;
+    int is_whole; /* every pixel counts */
 } Image;
 
 typedef struct {
@@ -462,6 +464,8 @@ static void mix_row(const double *at, const int *code, int n, const Echoes *foun
     }
 }
 
+static inline int is_contrasting(const double *mean) { return mean[1] <= 0.6 * mean[2] && mean[0] >= 1.3 * mean[2]; }
+
 static inline double misfit(double count, double sum, double mean) { return count * log(mean) + sum / mean - count; }
 
 /* Mixtures that hold anything. share (3, n): of highlight, shadow and floor. */
@@ -511,6 +515,28 @@ WIDE static void improve(const Mixtures *mixtures, double *mean)
         mean[j] = larger(mean[j] * exp(clamp(step[j], -1.0, 1.0)), LEAST_MEAN);
 }
 
+/* Up to which columns the pixels of a row count; NULL where all do. */
+static inline const double *counts_of(const Image *image, int64_t row)
+{
+    const double *counts = image->counts + row * (image->n_columns + 1);
+    return image->is_whole || counts[image->n_columns] == (double)image->n_columns ? 0 : counts;
+}
+
+/* Adds highlight and shadow of slices, one a row from the first. */
+static void add_rows(const Image *image, int64_t first, int64_t n_rows, const Slices *slices, Echoes *part)
+{
+    for (int64_t k = 0; k < n_rows; k++) {
+        if (!slices->hit[k])
+            continue;
+        const double *counts = counts_of(image, first + k);
+        const double *echoes = image->echoes + (first + k) * (image->n_columns + 1);
+        const Echoes front = up_to(counts, echoes, slices->end[0][k], image->n_columns),
+                     between = up_to(counts, echoes, slices->end[1][k], image->n_columns);
+        gather(part, front, between);
+        gather(part + 1, between, up_to(counts, echoes, slices->end[2][k], image->n_columns));
+    }
+}
+
 static double cost_of(int64_t kind, const double *hypothesis, const Image *image, const Beam *beam, double *mean)
 {
     static const int DIGIT[MAX_TAPS] = {1, 3, 9};
@@ -547,11 +573,17 @@ static double cost_of(int64_t kind, const double *hypothesis, const Image *image
                 slices.y[slices.n++] = y - off * image->shear;
             }
         }
+        /* To whole vectors, with copies of the last slice. */
+        for (; kind != WEDGE && slices.n % VECTOR > 0; slices.n++) {
+            slices.u[slices.n] = slices.u[slices.n - 1];
+            slices.y[slices.n] = slices.y[slices.n - 1];
+        }
         cut(kind, solid, &placed, image, altitude, &slices);
-        for (int64_t k = 0; k < n_rows; k++) {
+        if (beam->n_taps == 1)
+            add_rows(image, block, n_rows, &slices, part);
+        for (int64_t k = 0; beam->n_taps > 1 && k < n_rows; k++) {
             const double *echoes = image->echoes + (block + k) * (image->n_columns + 1);
-            const double *counted = image->counts + (block + k) * (image->n_columns + 1);
-            const double *counts = counted[image->n_columns] == (double)image->n_columns ? 0 : counted;
+            const double *counts = counts_of(image, block + k);
             double at[N_ENDS * MAX_TAPS];
             Echoes found[N_ENDS * MAX_TAPS];
             int code[N_ENDS * MAX_TAPS], n = 0;
@@ -571,7 +603,7 @@ static double cost_of(int64_t kind, const double *hypothesis, const Image *image
                 }
                 n += N_ENDS;
             }
-            if (n > 0 && beam->n_taps > 1)
+            if (n > 0)
                 mix_row(at, code, n, found, mixture);
         }
     }
@@ -601,15 +633,17 @@ static double cost_of(int64_t kind, const double *hypothesis, const Image *image
         }
         for (int64_t step = 0; step < beam->n_steps; step++)
             improve(&held, mean);
+        if (!is_contrasting(mean))
+            return FORBIDDEN;
         for (int64_t i = 0; i < held.n; i++)
             cost += misfit(held.count[i], held.sum[i],
                            held.share[0][i] * mean[0] + held.share[1][i] * mean[1] + held.share[2][i] * mean[2]);
     } else {
+        if (!is_contrasting(mean))
+            return FORBIDDEN;
         for (int k = 0; k < 3; k++)
             cost += misfit(part[k].count, part[k].sum, mean[k]);
     }
-    if (!(mean[1] <= 0.6 * mean[2] && mean[0] >= 1.3 * mean[2]))
-        return FORBIDDEN;
     return image->weight * cost;
 }
 
@@ -629,11 +663,12 @@ static Image image_of(int64_t n_rows, int64_t n_columns, const double *scalars, 
                       const double *counts)
 {
     Image image = {n_rows,     n_columns,  scalars[0], scalars[1], scalars[2], scalars[3], scalars[4],
-                   scalars[5], scalars[6], echoes,     counts,     0.0,        0.0};
+                   scalars[5], scalars[6], echoes,     counts,     0.0,        0.0,        0};
     for (int64_t row = 0; row < n_rows; row++) {
         image.total += echoes[row * (n_columns + 1) + n_columns];
         image.n_total += counts[row * (n_columns + 1) + n_columns];
     }
+    image.is_whole = image.n_total == (double)n_rows * (double)n_columns;
     return image;
 }
 
@@ -660,7 +695,7 @@ void auv_mcm_shape_intervals(int64_t kind, int64_t n, const double *hypotheses, 
                              const double *scalars, int64_t n_taps, const double *angle, double *ends)
 {
     const Image image = {n_rows,     n_columns,  scalars[0], scalars[1], scalars[2], scalars[3], scalars[4],
-                         scalars[5], scalars[6], 0,          0,          0.0,        0.0};
+                         scalars[5], scalars[6], 0,          0,          0.0,        0.0,        0};
 
     for (int64_t i = 0; i < n; i++) {
         const double *hypothesis = hypotheses + FIELDS * i, *solid = hypothesis + 3, y = hypothesis[1];
