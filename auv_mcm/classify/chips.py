@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from auv_mcm.confirm.region import Region
 from auv_mcm.kernels.cell_sums import cell_sums
+from auv_mcm.kernels.order import median
 
 N_ROWS: Final = 40
 """Rows of both pictures, along the track."""
@@ -69,15 +70,15 @@ def chip_of(region: Region, along_m: float = 0.0, across_m: float = 0.0) -> Chip
     by_metres_m = centre_m - _NEAR_M + _COLUMN_M * np.arange(N_COLUMNS + 1, dtype=np.float64)
     by_height_m = shadow_ends_m(centre_m, region.altitude_m, _HEIGHT_M * np.arange(N_HEIGHTS + 1, dtype=np.float64))
     edges = (np.concatenate([by_metres_m, by_height_m]) - region.first_ground_range_m) / region.column_spacing_m
-    sums = cell_sums(region.intensity[top:end], region.valid[top:end], rows - top, edges)
+    total, area = cell_sums(region.intensity[top:end], region.valid[top:end], rows - top, edges)
+    measured = area > 1e-6  # pixels: what is less is the rounding of a difference of sums
+    mean = np.divide(total, area, out=np.ones(area.shape), where=measured)
+    levels_db = 10.0 * np.log10(np.maximum(mean, _DARKEST))
+    middle_db, spread_db = floor_of(levels_db[:, :N_COLUMNS][measured[:, :N_COLUMNS]])
+    spreads = np.minimum(np.maximum((levels_db - middle_db) / spread_db, -_LIMIT), _LIMIT)
+    levels = np.where(measured, spreads, 0.0).astype(np.float32)
     # Between the two pictures lies what is a cell of neither.
-    metres, heights = sums[:, :, :N_COLUMNS], sums[:, :, N_COLUMNS + 1 :]
-    levels_db = _levels_db(metres)
-    middle_db, spread_db = floor_of(levels_db)
-    by_metres, by_height = (
-        np.clip(np.nan_to_num((each_db - middle_db) / spread_db, nan=0.0), -_LIMIT, _LIMIT).astype(np.float32)
-        for each_db in (levels_db, _levels_db(heights))
-    )
+    by_metres, by_height = levels[:, :N_COLUMNS].copy(), levels[:, N_COLUMNS + 1 :].copy()
     return Chip(by_metres, by_height, _place(region, centre_m))
 
 
@@ -102,23 +103,15 @@ def shadow_ends_m(ground_range_m: float, altitude_m: float, height_m: NDArray[np
 
 
 def floor_of(levels_db: NDArray[np.float64]) -> tuple[float, float]:
-    """Estimate the middle and the spread of the floor's level, dB, from a chip's; NaN is what was not measured.
+    """Estimate the middle and the spread of the floor's level, dB, from levels that were measured, (n,).
 
     Median and median absolute deviation, which an object and its shadow hardly move.
     """
-    known = levels_db[~np.isnan(levels_db)]
-    if not len(known):
+    if not levels_db.size:
         return 0.0, 1.0
-    middle_db = float(np.median(known))
-    spread_db = _SIGMAS_PER_DEVIATION * float(np.median(np.abs(known - middle_db)))
+    middle_db = median(levels_db)
+    spread_db = _SIGMAS_PER_DEVIATION * median(np.abs(levels_db - middle_db))
     return middle_db, max(spread_db, _LEAST_SPREAD_DB)
-
-
-def _levels_db(sums: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Compute the mean level of pixels, dB, from sums of intensity and of valid area (2, n, m); NaN where none is."""
-    measured = sums[1] > 1e-6  # pixels: what is less is the rounding of a difference of sums
-    mean = np.divide(sums[0], sums[1], out=np.full(sums.shape[1:], np.nan), where=measured)
-    return np.asarray(10.0 * np.log10(np.maximum(mean, _DARKEST)))
 
 
 def _place(region: Region, centre_m: float) -> Picture:

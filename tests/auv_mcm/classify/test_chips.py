@@ -63,8 +63,8 @@ def test_gain_drops_out(gain_db: float) -> None:
 
 def test_compression_of_the_levels_drops_out() -> None:
     levels_db = np.random.default_rng(3).normal(size=(N_ROWS, N_COLUMNS)) * 4.0
-    middle_db, spread_db = floor_of(levels_db)
-    other_db, other_spread_db = floor_of(0.5 * levels_db + 7.0)
+    middle_db, spread_db = floor_of(levels_db.ravel())
+    other_db, other_spread_db = floor_of(0.5 * levels_db.ravel() + 7.0)
     np.testing.assert_allclose(
         (levels_db - middle_db) / spread_db, (0.5 * levels_db + 7.0 - other_db) / other_spread_db
     )
@@ -72,10 +72,10 @@ def test_compression_of_the_levels_drops_out() -> None:
 
 def test_the_floor_s_spread_hardly_moves_for_an_object() -> None:
     levels_db = np.random.default_rng(3).normal(size=(N_ROWS, N_COLUMNS)) * 4.0
-    _, spread_db = floor_of(levels_db)
+    _, spread_db = floor_of(levels_db.ravel())
     levels_db[15:25, 20:24] = 20.0
     levels_db[15:25, 24:40] = -30.0
-    assert floor_of(levels_db)[1] == pytest.approx(spread_db, rel=0.1)
+    assert floor_of(levels_db.ravel())[1] == pytest.approx(spread_db, rel=0.1)
 
 
 def test_nothing_measured_is_a_chip_of_zeros() -> None:
