@@ -184,7 +184,7 @@ def open_windows_numpy(field: WindowField, tables: Tables, n_groups: int) -> Ope
     whole, band_stop, begin = [], np.empty(n_bands, dtype=np.int64), 0
     for k in range(n_bands):
         some = place[begin : stop[k]]
-        whole.append(some[_box(counts.ravel(), some, tables.window[k]) >= tables.least[k]])
+        whole.append(some[_Boxes(counts.ravel(), some).sum(tables.window[k]) >= tables.least[k]])
         band_stop[k] = (band_stop[k - 1] if k else 0) + len(whole[-1])
         begin = int(stop[k])
     chosen = np.concatenate(whole)
@@ -228,8 +228,9 @@ def run_groups_numpy(
             for group in range(first, last):
                 if tables.restart:
                     score[:] = 0
+                boxes = _Boxes(flat, place)
                 for stump in range(tables.groups[group - 1, 0] if group else 0, tables.groups[group, 0]):
-                    score += _weigh(flat, place, tables.stumps[band, stump])
+                    score += _weigh(boxes, tables.stumps[band, stump])
                 alive = score >= tables.groups[group, 1]
                 place, score = place[alive], score[alive]
                 n_alive[group - first] += len(place)
@@ -271,20 +272,40 @@ def corners(boxes_px: NDArray[np.int32], stride: int) -> NDArray[np.int32]:
     return np.ascontiguousarray(np.stack(offsets, axis=-1), dtype=np.int32)
 
 
-def _weigh(sums: NDArray[np.uint32], place: NDArray[np.int32], stump: NDArray[np.void]) -> NDArray[np.int32]:
-    a, b, w = (
-        _box(sums, place, stump["offset"][k]).astype(np.float32) * stump["weight"][k]
-        if k < 2 or stump["contrast"]
-        else np.float32(0.0)
-        for k in range(3)
-    )
-    holds = a - b < w if stump["contrast"] else a < b
-    return np.asarray(stump["leaf"][holds.astype(np.intp)], dtype=np.int32)
+def _weigh(boxes: _Boxes, stump: NDArray[np.void]) -> NDArray[np.int32]:
+    a, b = (boxes.sum(stump["offset"][k]).astype(np.float32) for k in range(2))
+    a *= stump["weight"][0]
+    b *= stump["weight"][1]
+    if stump["contrast"]:
+        a -= b
+        b = boxes.shared_sum(stump["offset"][2]) * stump["weight"][2]
+    otherwise, where_it_holds = stump["leaf"]
+    return np.where(a < b, where_it_holds, otherwise)
 
 
-def _box(integral_image: NDArray[np.uint32], place: NDArray[np.int32], offset: NDArray[np.int32]) -> NDArray[np.int32]:
-    lower_right, upper_right, lower_left, upper_left = (integral_image.take(place + corner) for corner in offset)
-    return np.asarray((lower_right - upper_right) - (lower_left - upper_left)).view(np.int32)
+class _Boxes:
+    """Sum boxes about rising places (n,) of an integral image (flat)."""
+
+    def __init__(self, integral_image: NDArray[np.uint32], place: NDArray[np.int32]) -> None:
+        self._image = integral_image
+        self._first = int(place[0]) if place.size else 0
+        self._at = (place - self._first).astype(np.intp)
+        self._shared: tuple[bytes, NDArray[np.float32]] | None = None
+
+    def sum(self, offset: NDArray[np.int32]) -> NDArray[np.int32]:
+        total, upper_right, lower_left, upper_left = (
+            self._image[self._first + corner :].take(self._at) for corner in offset.tolist()
+        )
+        total -= upper_right
+        lower_left -= upper_left
+        total -= lower_left
+        return total.view(np.int32)
+
+    def shared_sum(self, offset: NDArray[np.int32]) -> NDArray[np.float32]:
+        """Sum a box that several stumps have, once."""
+        if self._shared is None or self._shared[0] != offset.tobytes():
+            self._shared = offset.tobytes(), self.sum(offset).astype(np.float32)
+        return self._shared[1]
 
 
 def _first(windows: Windows) -> Windows:
