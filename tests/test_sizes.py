@@ -28,7 +28,7 @@ class Limit(NamedTuple):
 
 
 LINES: Final = {
-    "auv_mcm": Limit(41_080, 35_500),
+    "auv_mcm": Limit(41_350, 35_500),
     "drivers": Limit(18_150, 15_500),
     "sim_replay": Limit(55_980, 42_000),
     "sim_replay/augment": Limit(2_620, 2_400),
@@ -43,7 +43,7 @@ LINES: Final = {
     "sim_replay/scoring": Limit(2_420, 2_200),
     "sim_replay/simulator": Limit(6_520, 6_900),
     "sim_replay/view": Limit(2_500, 2_000),
-    "tests": Limit(80_160, 66_000),
+    "tests": Limit(80_190, 66_000),
 }
 LONG_FUNCTIONS: Final = Limit(5, 5)
 LONG_FILES: Final = Limit(5, 0)

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from auv_mcm.confirm.likelihoods import BackgroundLaw, choose_background_law
 from auv_mcm.confirm.markov_estimate import estimate_smoothness
 from auv_mcm.confirm.mean_field import SPIKE, ClassMeans, data_costs, fit_means, start_means
-from auv_mcm.confirm.mrf_priors import prior_pair_costs, without_odd_clusters
+from auv_mcm.confirm.mrf_priors import pair_prior, without_odd_clusters
 from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region, require_sound
 from auv_mcm.confirm.speckle import Correlation, block_means, looks_of_blocks, measure_correlation, nyquist_factors
 from auv_mcm.kernels.order import median
@@ -128,9 +128,7 @@ def segment(
         smoothness = _design_smoothness(region, factors, correlation)
     weight = edge_weights(smoothness, factors, correlation)
 
-    def prior(labels: Labels) -> Plane:
-        return prior_pair_costs(labels, region, factors) * np.minimum(samples, 1.0)
-
+    prior = pair_prior(region, factors, blocks.shape[1])
     first_law = BackgroundLaw(nominal_looks, math.inf)
     means, probability = fit_means(blocks, samples, information, start_means(1.0), first_law, weight, prior)
     law = _law(blocks, samples * _mostly_background(probability), nominal_looks)
@@ -146,7 +144,11 @@ def segment(
     for _ in range(_PRIOR_ROUNDS):
         start = None if minimum is None else minimum.messages
         minimum = trws(
-            np.moveaxis(unary + prior(labels), 0, 2), weight, n_sweeps, tolerance=_CLOSE_ENOUGH, messages=start
+            np.moveaxis(unary + prior.costs(labels) * np.minimum(samples, 1.0), 0, 2),
+            weight,
+            n_sweeps,
+            tolerance=_CLOSE_ENOUGH,
+            messages=start,
         )
         labels = minimum.labels
     assert minimum is not None

@@ -8,15 +8,14 @@ stays pairwise.
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import Final, NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, Region
-from auv_mcm.kernels.pair_costs import Lack
-from auv_mcm.kernels.pair_costs import pair_costs as weigh_pairs
+from auv_mcm.kernels.pair_costs import Lack, pair_costs
 
 Plane = NDArray[np.float64]
 Labels = NDArray[np.uint8]
@@ -34,28 +33,48 @@ _CLUSTER_AREA_M2: Final = (0.02, 4.0)
 _CLUSTER_EXTENT_M: Final = 3.5  # m: longer than the longest mine with its blur along the track
 
 
-def prior_pair_costs(labels: Labels, region: Region, factors: tuple[int, int]) -> Plane:
-    """Weigh each label of each cell, in nats, given where highlights and shadows were: (3, n_rows, n_columns) float64.
+class PairPrior(NamedTuple):
+    """Hold how highlights and shadows of a field support each other.
 
-    labels: (n_rows, n_columns) uint8 of cells of `factors` pixels of the region. Looks along the line of sight, one row
-    to either side: behind a highlight for the near end of a shadow, before a shadow as far as the shadow of the highest
-    object reaches. By degrees, not by yes or no: behind any cell there is a dark speck somewhere.
+    reach: (n_columns,) int64, columns before each in which highlights support a shadow; attached: columns behind each
+    in which shadows support a highlight. slope: rows by which the line of sight moves ahead per column.
     """
-    n_rows, n_columns = labels.shape
+
+    reach: NDArray[np.int64]
+    attached: int
+    highlight: Lack
+    shadow: Lack
+    slope: float
+
+    def costs(self, labels: Labels) -> Plane:
+        """Weigh each label of each cell, in nats, given where both were, (3, n_rows, n_columns) float64.
+
+        labels: (n_rows, n_columns) uint8. Looks along the line of sight, one row to either side: behind a highlight for
+        the near end of a shadow, before a shadow as far as the shadow of the highest object reaches. By degrees, not by
+        yes or no: behind any cell there is a dark speck somewhere.
+        """
+        sheared = _sheared(labels, self.slope)
+        cost = pair_costs(sheared, self.reach, self.attached, highlight=self.highlight, shadow=self.shadow)
+        if self.slope == 0.0:
+            return cost
+        return np.array([_unsheared(plane, self.slope, labels.shape[0]) for plane in cost])
+
+
+def pair_prior(region: Region, factors: tuple[int, int], n_columns: int) -> PairPrior:
+    """Set the prior of a field whose cells are `factors` pixels of the region."""
     row_m, column_m = region.row_spacing_m * factors[0], region.column_spacing_m * factors[1]
     range_m = region.first_ground_range_m + (np.arange(n_columns) + 0.5) * column_m
     clearance_m = max(region.altitude_m - _HIGHEST_M, 0.1 * _HIGHEST_M)
     # A region's masked border may lie beyond the track.
     reach = np.clip((_HIGHEST_M * range_m / clearance_m + _REACH_MARGIN_M) / column_m, 0, n_columns).astype(np.int64)
     slope = math.tan(region.squint_rad) * column_m / row_m  # rows per column the line of sight moves ahead
-    cost = weigh_pairs(
-        _sheared(labels, slope),
+    return PairPrior(
         reach,
         max(1, round(_ATTACHED_M / column_m)),
-        highlight=Lack(_UNSUPPORTED, row_m * column_m / _WITNESS_M**2),
-        shadow=Lack(_ORPHAN, row_m * column_m / _CLUSTER_AREA_M2[0]),
+        Lack(_UNSUPPORTED, row_m * column_m / _WITNESS_M**2),
+        Lack(_ORPHAN, row_m * column_m / _CLUSTER_AREA_M2[0]),
+        slope,
     )
-    return cost if slope == 0.0 else np.array([_unsheared(plane, slope, n_rows) for plane in cost])
 
 
 def without_odd_clusters(labels: Labels, row_m: float, column_m: float) -> Labels:

@@ -35,6 +35,7 @@ SIGNATURES: Final = {
     "contrast_ratios": "i i f8 i4 f4 i i4 f i a a a",
     "contrast_sums": "i i f4 u1 w f a a",
     "contrast_variances": "i i i i f4 b1 i i f d a a a",
+    "field_means": "i i i i f8 f8 f8 f8 i8 i f8 f8 a a a a",
     "icm": "i i i f8 f8 a a",
     "mean_field": "i i f8 f8 i a a a",
     "pair_costs": "i i u1 i8 i f8 a a a a",

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from auv_mcm.confirm.markov_estimate import MarkovEstimate, estimate_smoothness
 from auv_mcm.confirm.mrf import edge_weights
-from auv_mcm.confirm.mrf_priors import prior_pair_costs, without_odd_clusters
+from auv_mcm.confirm.mrf_priors import pair_prior, without_odd_clusters
 from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region, require_sound
 from auv_mcm.confirm.speckle import Correlation
 from auv_mcm.kernels.soft_edges import smeared
@@ -65,9 +65,10 @@ def segment_as_paper(region: Region) -> PaperSegmentation:
     window = np.full(_WINDOW_PIXELS, 1.0 / _WINDOW_PIXELS)
     number = np.maximum(smeared(usable.astype(np.float64), window, window), 1e-9)
     labels[usable] = _clusters((smeared(amplitude, window, window) / number)[usable])
+    prior = pair_prior(region, (1, 1), region.intensity.shape[1])
     for _ in range(_ROUNDS):
         markov = estimate_smoothness(labels, _PRIOR_SMOOTHNESS)
-        cost = np.where(usable, _data_costs(amplitude, labels, usable), 0.0) + prior_pair_costs(labels, region, (1, 1))
+        cost = np.where(usable, _data_costs(amplitude, labels, usable), 0.0) + prior.costs(labels)
         labels, _ = icm(
             np.moveaxis(cost, 0, 2), edge_weights(markov.smoothness, (1, 1), _SINGLE_PIXELS), labels, _ICM_SWEEPS
         )

@@ -12,7 +12,11 @@ from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
 from auv_mcm import kernels
+from auv_mcm.confirm.likelihoods import BackgroundLaw
+from auv_mcm.confirm.mean_field import fit_means, fit_means_numpy, start_means
+from auv_mcm.confirm.mrf_priors import PairPrior
 from auv_mcm.kernels.mean_field import softmin, sweep, sweep_numpy
+from auv_mcm.kernels.pair_costs import Lack
 from auv_mcm.kernels.trws import energy_of, icm, icm_numpy, trws, trws_numpy
 
 needs_c = pytest.mark.skipif(kernels.backend() != "c", reason=f"no C kernels: {kernels.loaded().reason}")
@@ -189,3 +193,26 @@ def test_c_sweeps_the_mean_field_as_numpy_does(shape: tuple[int, int]) -> None:
     found = sweep(cost, weight, 3, start)
     np.testing.assert_allclose(found, sweep_numpy(cost, weight, 3, start), rtol=1e-12, atol=1e-300)
     np.testing.assert_allclose(found.sum(axis=0), 1.0, rtol=1e-12)
+
+
+@needs_c
+@given(
+    shape=st.tuples(st.integers(1, 12), st.integers(1, 14)),
+    looks=st.floats(0.5, 8.0),
+    level=st.floats(0.2, 5.0),
+    dark=st.floats(0.0, 0.4),
+    seed=st.integers(0, 2**32 - 1),
+)
+@settings(deadline=None, max_examples=40)
+def test_means_in_context_are_those_of_the_twin(
+    shape: tuple[int, int], looks: float, level: float, dark: float, seed: int
+) -> None:
+    random = np.random.default_rng(seed)
+    scale = random.choice([level, 0.05, 9.0], shape, p=(0.9 - dark, dark, 0.1))
+    blocks = np.clip(random.gamma(looks, scale / looks, shape), 1e-6, 1e6)
+    samples = random.choice([0.0, 0.6, 2.5], shape)
+    prior = PairPrior(random.integers(0, shape[1] + 1, shape[1]), 3, Lack(2.0, 0.4), Lack(0.5, 0.9), 0.0)
+    given = blocks, samples, samples / looks, start_means(level), BackgroundLaw(looks, np.inf), np.full(4, 0.6), prior
+    (means, probability), (expected, of_twin) = fit_means(*given), fit_means_numpy(*given)
+    np.testing.assert_allclose(means, expected, rtol=1e-9)
+    np.testing.assert_allclose(probability, of_twin, atol=1e-9)

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from auv_mcm.confirm.markov_estimate import estimate_smoothness
-from auv_mcm.confirm.mrf_priors import prior_pair_costs, without_odd_clusters
+from auv_mcm.confirm.mrf_priors import pair_prior, without_odd_clusters
 from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region
 from auv_mcm.kernels import pair_costs as pairs
 
@@ -65,7 +65,7 @@ def test_priors_count_along_the_line_of_sight(squint_rad: float, spacing_m: floa
     labels = random.choice(3, (11, 34), p=(0.96, 0.02, 0.02)).astype(np.uint8)
     expected = costs_by_loops(labels, spacing_m, squint_rad, altitude_m)
     region = region_of(labels.shape, spacing_m, squint_rad, altitude_m)
-    np.testing.assert_allclose(prior_pair_costs(labels, region, (1, 1)), expected)
+    np.testing.assert_allclose(pair_prior(region, (1, 1), labels.shape[1]).costs(labels), expected)
 
 
 def test_only_clusters_of_a_mines_size_stay_highlight() -> None:
