@@ -61,6 +61,7 @@ SIGNATURES: Final = {
     "waterfall_masks": "i i f8 f8 b1 f8 u1 i8 b1 b1 d a",
     "waterfall_means": "i i i f8 f8? f8? i d d f8 i8 a a a a a a",
     "waterfall_medians": "i i f8 b1? i a a",
+    "waterfall_pull": "i i f8 d d d d a",
     "waterfall_rows": "i i i i8 f8 f4 u1 d a a a a",
     "waterfall_scale": "i i f8 f8 i8 a",
     "waterfall_steps": "i i f8 b1 i i d d a a a",

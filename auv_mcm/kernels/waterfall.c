@@ -718,6 +718,25 @@ static double median(int64_t n, const double *restrict values, double *restrict 
     return 0.5 * (room[first - bracket.below] + room[second - bracket.below]);
 }
 
+/* altitude (n_pings), NaN where unknown. score (n_pings, n_bins): takes `gate` off bins, of bin_m each, at ranges beyond
+ * `ratio` of the altitude, either way, and off each `pull` times the logarithm of its range over the altitude.
+ */
+void auv_mcm_waterfall_pull(int64_t n_pings, int64_t n_bins, const double *restrict altitude, double bin_m,
+                            double ratio, double gate, double pull, double *restrict score)
+{
+    for (int64_t ping = 0; ping < n_pings; ping++) {
+        const double reading = altitude[ping];
+        double *restrict to = score + ping * n_bins;
+        if (!(reading > 0.0 && reading < INFINITY))
+            continue;
+        for (int64_t bin = 0; bin < n_bins; bin++) {
+            const double range = (double)bin * bin_m, from = range > bin_m ? range : bin_m;
+            const double off = (range > ratio * reading) | (range * ratio < reading) ? gate : 0.0;
+            to[bin] = to[bin] - off - fabs(log(from / reading)) * pull;
+        }
+    }
+}
+
 /* values, usable (n_rows, n), usable NULL where all are. room (2 n + 2): overwritten. medians (n_rows): out, NaN where
  * fewer than least are usable.
  */

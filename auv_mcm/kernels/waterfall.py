@@ -144,6 +144,33 @@ def means_numpy(traces: Sampled, edges_m: Values, edge_row: Rows) -> tuple[Value
     return intensity, valid, saturated & valid
 
 
+def pull_to_reading(score: Values, altitude_m: Values, bin_m: float, ratio: float, gate: float, pull: float) -> None:
+    """Lower scores (n_pings, n_bins) of slant ranges that an altitude reading speaks against, in place.
+
+    By `gate` beyond `ratio` of it either way, and everywhere by `pull` per nat between range and reading: where no step
+    shows, only the reading is left. The same to the bit where numpy takes logarithms from the C library.
+
+    Parameters
+    ----------
+    altitude_m
+        (n_pings,), NaN where unknown.
+    bin_m
+        Of slant range, of a bin.
+    """
+    if not call("waterfall_pull", *score.shape, altitude_m, bin_m, ratio, gate, pull, score):
+        pull_to_reading_numpy(score, altitude_m, bin_m, ratio, gate, pull)
+
+
+def pull_to_reading_numpy(
+    score: Values, altitude_m: Values, bin_m: float, ratio: float, gate: float, pull: float
+) -> None:
+    """Do as pull_to_reading, in numpy alone."""
+    known = np.flatnonzero(np.isfinite(altitude_m) & (altitude_m > 0.0))
+    range_m, reading_m = np.arange(score.shape[1]) * bin_m, altitude_m[known, np.newaxis]
+    outside = (range_m > ratio * reading_m) | (range_m * ratio < reading_m)
+    score[known] = score[known] - gate * outside - np.abs(np.log(np.maximum(range_m, bin_m) / reading_m)) * pull
+
+
 def row_medians(values: Values, usable: Flags | None, minimum: int) -> Values:
     """Take the median of the usable values of each row, (n_rows,) float64.
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.kernels.viterbi import backtrack, viterbi_forward
-from auv_mcm.kernels.waterfall import add_votes, row_medians, step_ratios
+from auv_mcm.kernels.waterfall import add_votes, pull_to_reading, row_medians, step_ratios
 from auv_mcm.waterfall.ground import Traces, mean_between
 
 BIN_M: Final = 0.05  # m of slant range: the step of the search
@@ -211,17 +211,7 @@ class BottomTracker:
             # neighbours.
             add_votes(score, ratios, independent, _SIDE_VOTE, _EVIDENCE)
         score[stated] = 0.0
-        known = np.isfinite(altitude_m) & (altitude_m > 0.0)
-        if known.any():
-            centre_m = (np.arange(n_bins) * BIN_M)[None, :]
-            altitude = np.where(known, altitude_m, 1.0)[:, None]
-            outside = (centre_m > _ALTITUDE_RATIO * altitude) | (centre_m * _ALTITUDE_RATIO < altitude)
-            score -= _OUTSIDE_GATE * (outside & known[:, None])
-            # Where no step shows, only the reading is left.
-            pull = np.maximum(centre_m, BIN_M) / altitude
-            np.abs(np.log(pull, out=pull), out=pull)
-            pull *= _ALTITUDE_PULL * known[:, None]
-            score -= pull
+        pull_to_reading(score, altitude_m, BIN_M, _ALTITUDE_RATIO, _OUTSIDE_GATE, _ALTITUDE_PULL)
         return score
 
 

@@ -133,6 +133,18 @@ def test_c_adds_the_votes_that_numpy_adds(seed: int, shape: tuple[int, int], sha
 
 
 @needs_c
+@given(seed=seeds, shape=shapes, bin_m=st.sampled_from([0.05, 0.3]), pull=st.sampled_from([1.0, 0.3]))
+@settings(deadline=None)
+def test_c_pulls_to_readings_as_numpy_does(seed: int, shape: tuple[int, int], bin_m: float, pull: float) -> None:
+    random = np.random.Generator(np.random.PCG64(seed))
+    altitude_m = random.choice([np.nan, np.inf, -1.0, 0.0, 0.3, 1.0, 2.7], shape[0])
+    scores = np.repeat(random.normal(size=(1, *shape)), 2, axis=0)
+    for score, lower in zip(scores, (kernel.pull_to_reading, kernel.pull_to_reading_numpy), strict=True):
+        lower(score, altitude_m, bin_m, 1.6, 8.0, pull)
+    np.testing.assert_allclose(*scores, rtol=0.0, atol=1e-12)
+
+
+@needs_c
 @given(seed=seeds, shape=shapes, n_rows=st.integers(0, 8), n_steps=st.integers(1, 4))
 @settings(deadline=None)
 def test_c_averages_pings_to_rows_as_numpy_does(seed: int, shape: tuple[int, int], n_rows: int, n_steps: int) -> None:
