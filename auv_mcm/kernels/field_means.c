@@ -96,8 +96,9 @@ static double within(double level, const double *limits, double background)
 }
 
 /* intensity, samples, information (n_rows, n_columns), weight (4), reach, attached and lacks as in mean_field.c and
- * pair_costs.c. numbers: as in Rules. probability (LABELS, n_rows, n_columns): out. label (n_rows, n_columns), room (8 n_rows n_columns + 2
- * n_columns + 2): overwritten. found (LABELS + 2): out, the means and the samples of shadow and of highlight.
+ * pair_costs.c. numbers: as in Rules. probability (LABELS, n_rows, n_columns): out. label (n_rows, n_columns), room (8
+ * n_rows n_columns + 2 n_columns + 2): overwritten. found (LABELS + 2): out, the means and the samples of shadow and of
+ * highlight.
  */
 void auv_mcm_field_means(int64_t n_rows, int64_t n_columns, int64_t n_rounds, int64_t n_sweeps,
                          const double *restrict intensity, const double *restrict samples,

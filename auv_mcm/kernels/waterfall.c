@@ -718,8 +718,8 @@ static double median(int64_t n, const double *restrict values, double *restrict 
     return 0.5 * (room[first - bracket.below] + room[second - bracket.below]);
 }
 
-/* altitude (n_pings), NaN where unknown. score (n_pings, n_bins): takes `gate` off bins, of bin_m each, at ranges beyond
- * `ratio` of the altitude, either way, and off each `pull` times the logarithm of its range over the altitude.
+/* altitude (n_pings), NaN where unknown. score (n_pings, n_bins): takes `gate` off bins, of bin_m each, at ranges
+ * beyond `ratio` of the altitude, either way, and off each `pull` times the logarithm of its range over the altitude.
  */
 void auv_mcm_waterfall_pull(int64_t n_pings, int64_t n_bins, const double *restrict altitude, double bin_m,
                             double ratio, double gate, double pull, double *restrict score)
