@@ -241,24 +241,24 @@ def _largest_shadow_m2(region: Region) -> float:
 
 def border_fraction(nodes: Nodes, shape: tuple[int, ...]) -> float:
     """Compute the fraction of a contour's length within BORDER_PX of the window's edge."""
-    lowest, highest = np.full(2, BORDER_PX), np.array(shape, dtype=np.float64) - BORDER_PX
+    ways = np.concatenate((nodes[1:], nodes[:1])) - nodes
+    highest = [size - BORDER_PX for size in shape]
     total = near = 0.0
-    for a, b in zip(nodes, np.concatenate((nodes[1:], nodes[:1])), strict=True):
-        length = float(np.hypot(*(b - a)))
+    for node, way, length in zip(nodes.tolist(), ways.tolist(), np.hypot(*ways.T).tolist(), strict=True):
         total += length
-        near += length * (1.0 - _inner_fraction(a, b, lowest, highest))
+        near += length * (1.0 - _inner_fraction(node, way, highest))
     return near / total if total > 0.0 else 1.0
 
 
-def _inner_fraction(a: Nodes, b: Nodes, lowest: Nodes, highest: Nodes) -> float:
-    """Compute the fraction of a segment inside a box (Liang and Barsky, 1984)."""
+def _inner_fraction(node: list[float], ways: list[float], highest: list[float]) -> float:
+    """Compute the fraction of a segment inside the box from BORDER_PX to highest (Liang and Barsky, 1984)."""
     start, stop = 0.0, 1.0
-    for origin, way, low, high in zip(a.tolist(), (b - a).tolist(), lowest.tolist(), highest.tolist(), strict=True):
+    for origin, way, high in zip(node, ways, highest, strict=True):
         if way == 0.0:
-            if not low <= origin <= high:
+            if not BORDER_PX <= origin <= high:
                 return 0.0
             continue
-        first, last = sorted(((low - origin) / way, (high - origin) / way))
+        first, last = sorted(((BORDER_PX - origin) / way, (high - origin) / way))
         start, stop = max(start, first), min(stop, last)
     return max(stop - start, 0.0)
 
