@@ -280,7 +280,7 @@ def _weigh(boxes: _Boxes, stump: NDArray[np.void]) -> NDArray[np.int32]:
         a -= b
         b = boxes.shared_sum(stump["offset"][2]) * stump["weight"][2]
     otherwise, where_it_holds = stump["leaf"]
-    return np.where(a < b, where_it_holds, otherwise)
+    return np.asarray(np.where(a < b, where_it_holds, otherwise), dtype=np.int32)
 
 
 class _Boxes:
