@@ -94,7 +94,7 @@ def fit_means(
     intensity, samples (independent ones per cell), information: (n_rows, n_columns) float64.
 
     A class with hardly any samples keeps its start. In C where floor has no texture and rows no squint; it and numpy
-    agree to 1e-12.
+    agree to 1e-9.
 
     Parameters
     ----------
