@@ -1,4 +1,4 @@
-"""Measure what the chain and each of its steps find in the named scenes, and what the baseline finds in the same
+"""Measure what the chain and each of its steps find in the named scenes, and what the plain script finds in the same
 pings.
 
 auv-mcm bench scenes                               flies, judges and prints
@@ -8,10 +8,13 @@ auv-mcm bench scenes --log LINE.xtf                the same with targets embedde
 from __future__ import annotations
 
 import argparse
+import json
 import math
+import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
+from pathlib import Path
 from typing import Final, NamedTuple, get_args
 
 import msgspec
@@ -23,10 +26,11 @@ from auv_mcm.records import Contact, Detector, LookStep, NavSample, Ping, Source
 from sim_replay.benches import score_columns
 from sim_replay.benches.experiment import Cell, Column, Experiment, PairedColumn, Task, number
 from sim_replay.benches.mission_source import mission_source
+from sim_replay.benches.run_time.plain_script import find_contacts
 from sim_replay.flights import fly_through
+from sim_replay.logs.xtf_writer import write_xtf
 from sim_replay.missions import FIRST_SEED, SCENES, served_by, untrained_alone
-from sim_replay.scoring.baseline import baseline_contacts
-from sim_replay.scoring.inputs import ReportedContact, ScoredMission, as_reported, parse_truth
+from sim_replay.scoring.inputs import ReportedContact, ScoredMission, as_reported, parse_contacts, parse_truth
 from sim_replay.scoring.thresholds import BestScores, banded_at, best_scores, found_at
 from sim_replay.text_tables import NOTHING
 
@@ -80,7 +84,7 @@ def fly(task: Task) -> dict[str, SystemResult]:
         return SystemResult(mission, best_scores(mission), cost_s, times_s[-1] - times_s[0])
 
     return {
-        BASELINE: result(tuple(baseline_contacts(kept))),
+        BASELINE: result(_by_plain_script(kept, task.scene)),
         UNTRAINED: result(as_reported(alone.contacts, task.scene), sum(alone.costs_s.values())),
     } | {
         name: result(
@@ -89,6 +93,15 @@ def fly(task: Task) -> dict[str, SystemResult]:
         )
         for name, step in STEPS.items()
     }
+
+
+def _by_plain_script(events: Sequence[NavSample | Ping], name: str) -> tuple[ReportedContact, ...]:
+    """Find contacts as the script that `bench chain` is compared with does, in a log of these events."""
+    with tempfile.TemporaryDirectory() as folder:
+        log, found = Path(folder) / "mission.xtf", Path(folder) / "found.geojson"
+        write_xtf(log, events, sample_type="float32")
+        find_contacts(str(log), str(found))
+        return parse_contacts(json.loads(found.read_bytes()), name)
 
 
 def _keeping(events: Iterable[SourceEvent], kept: list[NavSample | Ping]) -> Iterator[SourceEvent]:

@@ -55,15 +55,15 @@ def add(commands: Commands) -> None:
         choices=("soft", "stages", "classical"),
         default="soft",
         help=(
-            "soft cascade, or for comparison stages as in the source paper (default soft); 'classical' is finished, "
-            "and kept in the sources at the tag benches-1"
+            "soft cascade (default); 'stages', as in the source paper, and 'classical' are finished, and kept in the "
+            "sources"
         ),
     )
     parser.add_argument(
         "--stumps",
         metavar="N",
         type=whole(1, _MAX_COUNT),
-        help="stumps of a soft cascade (default: as the model that ships)",
+        help="stumps (default: as the model that ships)",
     )
     parser.add_argument(
         "--workers",
@@ -82,10 +82,10 @@ def _run(arguments: argparse.Namespace) -> int:
     from sim_replay.fitting.cascade.train_cascade import train_model
     from sim_replay.fitting.cascade.trainer import N_STUMPS
 
-    if arguments.kind == "classical":
+    if arguments.kind != "soft":
         raise UsageError(
-            "--kind classical is finished, and kept in the sources at the tag benches-1: docs/results.md, 'Finished "
-            "benches', says how to run it. Train --kind soft"
+            f"--kind {arguments.kind} is finished, and kept in the sources: docs/results.md, 'Finished benches', says "
+            "where, and how to run it. Train --kind soft"
         )
     started_s = time.monotonic()
 
@@ -96,9 +96,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
     def train(out: Path) -> None:
         n_stumps = arguments.stumps or N_STUMPS
-        train_model(
-            arguments.spec, out, tiles=arguments.tiles, kind=arguments.kind, n_stumps=n_stumps, farm=farm, say=say
-        )
+        train_model(arguments.spec, out, tiles=arguments.tiles, n_stumps=n_stumps, farm=farm, say=say)
 
     if not arguments.all:
         if arguments.config is not None:

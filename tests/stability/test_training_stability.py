@@ -5,7 +5,6 @@ back.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 
 import msgspec
@@ -28,27 +27,14 @@ from auv_mcm.detect.cascade.model import (
 )
 from auv_mcm.detect.cascade.run import trace_plane
 from auv_mcm.kernels.cascade import encode
-from sim_replay.fitting.cascade.boost import (
-    N_BINS,
-    Bins,
-    BoostedStump,
-    ada_split,
-    ada_stumps,
-    gentle_split,
-    gentle_stumps,
-    histograms,
-)
+from sim_replay.fitting.cascade.boost import N_BINS, Bins, BoostedStump, gentle_split, gentle_stumps, histograms
 from sim_replay.fitting.cascade.pool import Pool, bin_edges, feature_pool, model_stump, pool_box_means, quantise
 from sim_replay.fitting.cascade.soft import best_windows, reject_thresholds
-from sim_replay.fitting.cascade.stages import StageSamples, threshold, train_stage
 from sim_replay.fitting.cascade.validation import ValidationSighting, calibrate, expected_pd
 from tests.stability.tile_pictures import PICTURES
 
 Labels = NDArray[np.bool_]
-Booster = Callable[[Bins, Labels, int, float, np.random.Generator], Iterator[BoostedStump]]
 
-BOOSTERS: dict[str, Booster] = {"gentle": gentle_stumps, "ada": ada_stumps}
-EVERY_BOOSTER = pytest.mark.parametrize("booster", BOOSTERS)
 POOL = feature_pool()
 SOME = Pool(POOL.boxes, POOL.features[::41])
 SHAPE = (40, 160)
@@ -97,16 +83,15 @@ def test_what_is_learned_of_a_picture_is_what_the_model_says_of_it(name: str) ->
         means = pool_box_means(plane, SOME.boxes, rows, columns)
         edges = bin_edges(SOME, means)
         bins = quantise(SOME, edges, means)
-        for stumps_of in BOOSTERS.values():
-            stumps = list(stumps_of(bins, is_target, 8, 3.0, generator(3)))
-            if not stumps:
-                assert name == "constant"
-                continue
-            model = model_of(stumps, edges)
-            assert parse_model(encode_model(model), "written here") == model
-            learned = np.sum([stump.scores(bins) for stump in stumps], axis=0)
-            # Where there are few values, many are equal to an edge, and rounding puts them on either side of it.
-            assert (trace_plane(plane, model, rows, columns)[:, -1] == learned).mean() > 0.9
+        stumps = list(gentle_stumps(bins, is_target, 8, 3.0, generator(3)))
+        if not stumps:
+            assert name == "constant"
+            return
+        model = model_of(stumps, edges)
+        assert parse_model(encode_model(model), "written here") == model
+        learned = np.sum([stump.scores(bins) for stump in stumps], axis=0)
+        # Where there are few values, many are equal to an edge, and rounding puts them on either side of it.
+        assert (trace_plane(plane, model, rows, columns)[:, -1] == learned).mean() > 0.9
 
 
 @pytest.mark.parametrize("first_return_m", [0.0, 0.3, 1.0, 30.0, math.nan])
@@ -162,32 +147,29 @@ def hard_samples() -> dict[str, tuple[Bins, Labels]]:
     }
 
 
-@EVERY_BOOSTER
 @pytest.mark.parametrize("asymmetry", [1e-6, 1.0, 1e6])
 @pytest.mark.parametrize("case", hard_samples())
-def test_boosting_raises_no_flag_and_bounds_its_leaves(booster: str, asymmetry: float, case: str) -> None:
+def test_boosting_raises_no_flag_and_bounds_its_leaves(asymmetry: float, case: str) -> None:
     bins, is_target = hard_samples()[case]
     with np.errstate(all="raise", under="ignore"):
-        stumps = list(BOOSTERS[booster](bins, is_target, 120, asymmetry, generator(9)))
+        stumps = list(gentle_stumps(bins, is_target, 120, asymmetry, generator(9)))
     assert all(abs(leaf) <= 4 * SCORE_UNIT for stump in stumps for leaf in (stump.below, stump.above))
     assert all(0 <= stump.last_below < N_BINS - 1 for stump in stumps)
     assert bool(stumps) == (case != "equal samples with either label")
 
 
-@EVERY_BOOSTER
-def test_one_mislabelled_sample_does_not_take_over(booster: str) -> None:
+def test_one_mislabelled_sample_does_not_take_over() -> None:
     bins, is_target = hard_samples()["one mislabelled"]
-    stumps = list(BOOSTERS[booster](bins, is_target, 200, 1.0, generator(9)))
+    stumps = list(gentle_stumps(bins, is_target, 200, 1.0, generator(9)))
     said = np.sum([stump.scores(bins) for stump in stumps], axis=0) > 0
     assert (said == (bins[2] > 100)).mean() > 0.99
 
 
-@EVERY_BOOSTER
-def test_the_same_samples_give_the_same_stumps_on_two_threads_at_once(booster: str) -> None:
+def test_the_same_samples_give_the_same_stumps_on_two_threads_at_once() -> None:
     bins, is_target = generator(10).integers(0, 256, (700, 300)).astype(np.uint8), generator(11).random(300) < 0.3
 
     def trained(seed: int) -> list[BoostedStump]:
-        return list(BOOSTERS[booster](bins, is_target, 10, 2.0, generator(seed)))
+        return list(gentle_stumps(bins, is_target, 10, 2.0, generator(seed)))
 
     alone = [trained(seed) for seed in (1, 2)]
     with ThreadPoolExecutor(2) as pool:
@@ -208,11 +190,10 @@ def test_weights_add_up_to_the_same_bits_in_any_order_and_split_alike(seed: int,
     ]
     for one, other in zip(parts, mixed, strict=True):
         assert one.tobytes() == other.tobytes()
-    for split in (gentle_split, ada_split):
-        if weight.any():
-            with np.errstate(all="raise"):
-                found = split(*parts)
-            assert found is None or np.isfinite(found).all()
+    if weight.any():
+        with np.errstate(all="raise"):
+            found = gentle_split(*parts)
+        assert found is None or np.isfinite(found).all()
 
 
 # --- thresholds ---
@@ -225,23 +206,13 @@ def test_thresholds_of_equal_scores_are_that_score(level: int, detection: float)
     bag = np.repeat(np.arange(100), 10)
     with np.errstate(all="raise"):
         assert reject_thresholds(trace, bag, detection) == (level,) * 3
-        assert threshold(trace[:, 0], detection) == level
 
 
 def test_scores_at_both_ends_of_the_numbers_keep_their_order() -> None:
     ends = np.array([-(2**31), 2**31 - 1, 0, 2**31 - 1], dtype=np.int32)
     assert best_windows(ends, np.zeros(4, dtype=np.intp)).tolist() == [1]
-    merit = ends.astype(np.int64) + np.array([0, 0, 2**32, 0]) * 60  # stages passed count before any score
-    assert best_windows(merit, np.zeros(4, dtype=np.intp)).tolist() == [2]
     trace = np.stack((ends, ends[::-1]), axis=1)
     assert reject_thresholds(trace, np.arange(4), 1.0) == (-(2**31), -(2**31))
-
-
-def test_a_stage_that_nothing_separates_lets_all_pass_and_says_so() -> None:
-    alike = StageSamples(np.full((3, 50), 9, dtype=np.uint8), np.arange(50) < 20)
-    with np.errstate(all="raise"):
-        stage = train_stage(alike, alike, generator(12))
-    assert stage == ((), 0, 1.0, 1.0)
 
 
 # --- calibration ---

@@ -47,7 +47,7 @@ def main(out: Path) -> None:
     (out / "small.yaml").write_text(SCENE)
     (out / "theatre.yaml").write_text(THEATRE)
     tiles, model = out / "tiles", out / "model.json"
-    train_model(out / "theatre.yaml", model, tiles=tiles, kind="soft", n_stumps=4, farm=Farm(workers=1), say=print)
+    train_model(out / "theatre.yaml", model, tiles=tiles, n_stumps=4, farm=Farm(workers=1), say=print)
 
     for shard in read_manifest(tiles).shards:
         print(

@@ -20,13 +20,13 @@ from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Detection, EchoTrace, NavSample, Ping
 from auv_mcm.settings.config import Config
-from sim_replay.benches.run_time.fallback import WITHOUT_KERNELS
-from sim_replay.benches.run_time.latency import measure_latency
+from sim_replay.benches.run_time.latency import first_waits
 from sim_replay.benches.run_time.lines import BenchMission, repeated
 from sim_replay.benches.run_time.measure import measure_settings, timed, times_real_time
 from sim_replay.benches.run_time.points import ChainSetting
 from sim_replay.logs.open_log import open_log
 
+WITHOUT_KERNELS: Final = {"AUV_MCM_KERNELS": "numpy"}
 LONG_S: Final = 2400.0
 """Duration of the mission whose replay's memory is measured, s."""
 N_PINGS: Final = 1536
@@ -68,7 +68,7 @@ def measure_apart(
     output, _ = timed(command, long.name, folder / "long.err", {})
     show(f"{flat.name} without kernels, then waits for announcements")
     slow = measure_settings([default], [flat], 1, folder, environment=WITHOUT_KERNELS)[0].runs[flat.name]
-    waits = [wait for line in scenes for wait in measure_latency(line).first]
+    waits = [wait for line in scenes for wait in first_waits(line)]
     in_time = sum(wait.is_in_time for wait in waits) / len(waits) if waits else None
     return Apart(look_ms, worst_s, int(output.split()[-1]) / 1024.0, times_real_time(slow), in_time)
 

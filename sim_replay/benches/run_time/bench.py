@@ -9,7 +9,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Final, TypeAlias
+from typing import Final
 
 import msgspec
 
@@ -18,8 +18,6 @@ from auv_mcm.shell.whole_files import write_file
 from sim_replay.arguments import count, new_file
 from sim_replay.benches.mission_options import add_line_options
 from sim_replay.benches.run_time.apart import Apart, measure_apart
-from sim_replay.benches.run_time.fallback import FALLBACK_HEADER, fallback_rows, measure_fallback
-from sim_replay.benches.run_time.latency import LATENCY_HEADER, WITHIN_M, WITHIN_S, latency_rows, measure_latency
 from sim_replay.benches.run_time.lines import FIRST_SEED, BenchMission, augment_logs, fly_empty, fly_scenes
 from sim_replay.benches.run_time.measure import CALLED_P, measure_settings, this_machine
 from sim_replay.benches.run_time.one_run import DEFAULT
@@ -35,7 +33,6 @@ from sim_replay.benches.run_time.results import (
     reason_words,
     require_same_missions,
 )
-from sim_replay.benches.run_time.scaling import SERIES_HEADER, measure_series, series_rows
 from sim_replay.benches.run_time.skip_table import REGISTER_HEADER, SKIP_HEADER, measure_skips, register_rows, skip_rows
 from sim_replay.benches.run_time.targets import FLAT, TARGET_HEADER, CostTarget, cost_targets, target_rows
 from sim_replay.missions import SCENES
@@ -64,9 +61,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     for name, does in {
         "--targets": "the default and the plain script alone, on all that the targets are about",
         "--skips": "what each skip of the chain saves, and how far the answer differs without it",
-        "--scaling": "how cost grows with swath, ping rate, objects, length and threads",
-        "--latency": "how long after it was passed a target is announced, early and in the end",
-        "--fallback": "with the C kernels and without them, whether numpy alone keeps up (default scene: flat)",
         "--quick": "check errors and counts of work on two small missions; no time is judged",
     }.items():
         instead.add_argument(name, action="store_true", help=does)
@@ -82,19 +76,15 @@ def run(arguments: argparse.Namespace) -> int:
     """Fly, run, score and print; returns the exit code. Raises UsageError for scenes or knobs that are not there."""
     if arguments.quick:
         return _quick()
-    asked = next((ask for name, ask in _ASKED.items() if getattr(arguments, name)), None)
-    if asked is not None and (arguments.page is not None or arguments.compare is not None):
-        raise UsageError(
-            "--page and --compare are for operating points and targets: leave them out beside --skips, --scaling, "
-            "--latency and --fallback"
-        )
+    if arguments.skips and (arguments.page is not None or arguments.compare is not None):
+        raise UsageError("--page and --compare are for operating points and targets: leave them out beside --skips")
     old = None if arguments.compare is None else read_results(arguments.compare)
-    usual = SCENES if arguments.targets else (FLAT,) if arguments.fallback else SCANNED
+    usual = SCENES if arguments.targets else SCANNED
     names = tuple(arguments.scenes.split(",")) if arguments.scenes else usual
     for name in names:
         read_scene(name)
-    if asked is not None:
-        return _answer(asked, arguments, names)
+    if arguments.skips:
+        return _skips(arguments, names)
     chosen = _chosen(arguments.knobs, arguments.targets)
     load = os.getloadavg()[0]
     with tempfile.TemporaryDirectory(prefix="auv-mcm-bench-") as made:
@@ -125,62 +115,20 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _answer(asked: _Ask, arguments: argparse.Namespace, names: Sequence[str]) -> int:
+def _skips(arguments: argparse.Namespace, names: Sequence[str]) -> int:
+    """Print what each skip saves, and how far the answer differs without it."""
     with tempfile.TemporaryDirectory(prefix="auv-mcm-bench-") as made:
-        found, words, *tables = asked(arguments, names, Path(made))
+        effects = measure_skips(_missions(arguments, names, Path(made)), arguments.repeat, Path(made), progress)
     print(file=sys.stderr)
-    print(words)
-    for header, rows in tables:
-        print("\n" + (markdown if arguments.markdown else columns)(header, rows))
-    write_result("--json", arguments.json, msgspec.json.format(msgspec.json.encode(found), indent=1))
-    return 0
-
-
-def _skips(arguments: argparse.Namespace, names: Sequence[str], folder: Path) -> tuple[Any, ...]:
-    effects = measure_skips(_missions(arguments, names, folder), arguments.repeat, folder, progress)
-    words = (
+    print(
         "Time without a skip in units of the time with it, of whole processes; medians of "
         f"{arguments.repeat} repeats in turn.\nCalled: p_mine of {CALLED_P:g} or more. Skips that left out nothing on "
         "a mission are not in its rows."
     )
-    return effects, words, (REGISTER_HEADER, register_rows()), (SKIP_HEADER, skip_rows(effects))
-
-
-def _scaling(arguments: argparse.Namespace, names: Sequence[str], folder: Path) -> tuple[Any, ...]:
-    found = measure_series(arguments.repeat, folder, progress)
-    words = (
-        "processor time of the chain alone, and elapsed time of whole processes, which says something on an idle "
-        f"computer only;\nmedians of {arguments.repeat} repeats; cost = constant * value ** exponent, with its "
-        "standard error"
-    )
-    return found, words, (SERIES_HEADER, series_rows(found))
-
-
-def _latency(arguments: argparse.Namespace, names: Sequence[str], folder: Path) -> tuple[Any, ...]:
-    waits = []
-    for line in _missions(arguments, names, folder):
-        progress(f"{line.name}: waits for announcements")
-        waits.append(measure_latency(line))
-    words = (
-        "Track and mission time from the last ping that saw a target until it is announced; in time: within "
-        f"{WITHIN_M:g} m or\n{WITHIN_S:g} s, whichever is later. Processor time of early looks is that of the chain's "
-        "other stages in the same run."
-    )
-    return waits, words, (LATENCY_HEADER, latency_rows(waits))
-
-
-def _fallback(arguments: argparse.Namespace, names: Sequence[str], folder: Path) -> tuple[Any, ...]:
-    lines, default = _missions(arguments, names, folder), _chosen(None, targets_alone=True)[0]
-    both = measure_fallback(default, lines, arguments.repeat, folder, progress)
-    words = "processor time of the chain alone, one core; in common: called either way, to a centimetre"
-    return both, words, (FALLBACK_HEADER, fallback_rows(*both))
-
-
-_Ask: TypeAlias = Callable[[argparse.Namespace, Sequence[str], Path], tuple[Any, ...]]
-_ASKED: Final[dict[str, _Ask]] = {
-    "scaling": _scaling, "skips": _skips, "latency": _latency, "fallback": _fallback,
-}  # fmt: skip
-"""What gives, instead of operating points: what was found, words about it, and tables of a header and rows."""
+    for header, rows in ((REGISTER_HEADER, register_rows()), (SKIP_HEADER, skip_rows(effects))):
+        print("\n" + (markdown if arguments.markdown else columns)(header, rows))
+    write_result("--json", arguments.json, msgspec.json.format(msgspec.json.encode(effects), indent=1))
+    return 0
 
 
 def _quick() -> int:

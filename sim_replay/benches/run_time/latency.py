@@ -1,4 +1,4 @@
-"""Measure how long after the last ping that saw a target it is announced: early, and with its finished tile.
+"""Measure how long after the last ping that saw a target it is announced.
 
 The last ping that saw a target is the one after which half the beam's footprint and half the target are passed. A view
 counts where the finished mission has it in a contact on a target, itself with a p_mine of CALLED_P or more.
@@ -7,7 +7,6 @@ counts where the finished mission has it in a contact on a target, itself with a
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
@@ -27,10 +26,6 @@ WITHIN_S: Final = 10.0
 """Target: an announcement within these metres of track or seconds, whichever is later."""
 _GATE_M: Final = 3.0  # between a contact and its target
 _SAME_M: Final = 2.5  # between an early view and the final one, along and across
-LATENCY_HEADER: Final = (
-    *("mission", "announced", "views", "of", "m: median", "95 %", "max", "s: median", "95 %", "max", "in time"),
-    *("withdrawn", "processor time"),
-)
 
 
 class Wait(NamedTuple):
@@ -43,22 +38,6 @@ class Wait(NamedTuple):
     def is_in_time(self) -> bool:
         """Find whether the announcement is within the target."""
         return self.track_m <= WITHIN_M or self.time_s <= WITHIN_S
-
-
-class MissionLatency(NamedTuple):
-    """Hold one mission: waits for the first word and for the finished tile, per view of a target.
-
-    n_early: views announced early. n_found, n_withdrawn: early contacts on anything. early_share: their processor time,
-    of the rest.
-    """
-
-    name: str
-    first: tuple[Wait, ...]
-    finished: tuple[Wait, ...]
-    n_early: int
-    n_found: int
-    n_withdrawn: int
-    early_share: float
 
 
 class _Track:
@@ -82,9 +61,9 @@ class _Announced(NamedTuple):
     view: Detection
 
 
-def measure_latency(line: BenchMission) -> MissionLatency:
-    """Run the chain with early contacts over a mission and measure every wait."""
-    pipeline = Pipeline(line.config, timer=time.process_time, early=True)
+def first_waits(line: BenchMission) -> list[Wait]:
+    """Run the chain with early contacts over a mission; measure the wait for the first word on each target view."""
+    pipeline = Pipeline(line.config, early=True)
     ping_s: list[float] = []
     navigation: list[NavSample] = []
     early: list[_Announced] = []
@@ -103,55 +82,18 @@ def measure_latency(line: BenchMission) -> MissionLatency:
     pipeline.finish()
     times_s, track = np.array(ping_s), _Track(navigation)
     along_m = track.along_m(times_s)
-    first_waits: list[Wait] = []
-    finished_waits: list[Wait] = []
-    n_early = 0
+    waits = []
     for view, target in _target_views(pipeline.contacts, line.truth.objects):
         beam_m = view.slant_range_m * line.config.sonar.beam_width_rad
         seen_to_m = float(track.along_m(np.array([view.time_s]))[0]) + 0.5 * (
             beam_m + max(target.length_m or 0.0, target.width_m or 0.0)
         )
         last = max(int(np.searchsorted(along_m, seen_to_m, side="right")) - 1, 0)
-        at_end = len(times_s)
-        done = finished.get((view.side, view.time_s), at_end)
-        soonest = min((each.n_pings for each in early if _are_same(each.view, view)), default=at_end)
-        n_early += soonest < done
-        for waits, n_pings in ((first_waits, min(soonest, done)), (finished_waits, done)):
-            waits.append(Wait(float(along_m[n_pings - 1] - along_m[last]), float(times_s[n_pings - 1] - times_s[last])))
-    counters, early_s = pipeline.counters, pipeline.costs_s["early"]
-    return MissionLatency(
-        line.name,
-        tuple(first_waits),
-        tuple(finished_waits),
-        n_early,
-        counters["early.found"],
-        counters["early.withdrawn"],
-        early_s / max(sum(pipeline.costs_s.values()) - early_s, 1e-9),
-    )
-
-
-def latency_rows(missions: Sequence[MissionLatency]) -> list[list[str]]:
-    """Lay the waits out, two rows per mission and two over all of them: the first word, then the finished tile."""
-    rows = []
-    for one in missions:
-        withdrawn = f"{one.n_withdrawn} of {one.n_found}"
-        rows.append([one.name, "first", str(one.n_early), *_figures(one.first), withdrawn, f"+{one.early_share:.0%}"])
-        rows.append([one.name, "finished tile", str(len(one.finished)), *_figures(one.finished), "", ""])
-    found, lost = sum(one.n_found for one in missions), sum(one.n_withdrawn for one in missions)
-    together = [wait for one in missions for wait in one.first]
-    rows.append(
-        ["all", "first", str(sum(one.n_early for one in missions)), *_figures(together), f"{lost} of {found}", ""]
-    )
-    together = [wait for one in missions for wait in one.finished]
-    return [*rows, ["all", "finished tile", str(len(together)), *_figures(together), "", ""]]
-
-
-def _figures(waits: Sequence[Wait]) -> list[str]:
-    if not waits:
-        return ["0", *[""] * 7]
-    track_m, time_s = (np.percentile([wait[k] for wait in waits], [50.0, 95.0, 100.0]) for k in (0, 1))
-    in_time = sum(wait.is_in_time for wait in waits)
-    return [str(len(waits)), *(f"{value:.1f}" for value in (*track_m, *time_s)), f"{in_time / len(waits):.0%}"]
+        done = finished.get((view.side, view.time_s), len(times_s))
+        first = min((each.n_pings for each in early if _are_same(each.view, view)), default=done)
+        word = min(first, done) - 1
+        waits.append(Wait(float(along_m[word] - along_m[last]), float(times_s[word] - times_s[last])))
+    return waits
 
 
 def _target_views(contacts: Sequence[Contact], objects: Sequence[TruthObject]) -> list[tuple[Detection, TruthObject]]:

@@ -142,7 +142,6 @@ def measure_settings(
     repeat: int,
     folder: Path,
     progress: Callable[[str], None] = lambda words: None,
-    threads: int = 1,
     environment: Mapping[str, str] = MappingProxyType({}),
 ) -> list[SettingResult]:
     """Run every point on every mission `repeat` times, all points in turn on each mission.
@@ -156,16 +155,12 @@ def measure_settings(
         for line in lines:
             for point in points:
                 progress(f"run {number + 1} of {repeat}: {line.name}, {point.name}")
-                raw[point.name, line.name].append(run_once(point, line, folder, threads, environment))
+                raw[point.name, line.name].append(run_once(point, line, folder, environment))
     return [_result(point, lines, raw, folder) for point in points]
 
 
 def run_once(
-    point: ChainSetting,
-    line: BenchMission,
-    folder: Path,
-    threads: int = 1,
-    environment: Mapping[str, str] = MappingProxyType({}),
+    point: ChainSetting, line: BenchMission, folder: Path, environment: Mapping[str, str] = MappingProxyType({})
 ) -> dict[str, Any]:
     """Run one point on one mission in a process of its own.
 
@@ -181,7 +176,7 @@ def run_once(
         command = [sys.executable, "-m", one_run.MODULE, str(line.log), "--config", str(config)]
         command += ["--thoroughness", one_run.thoroughness_json(point.thoroughness)]
         command += [word for name in sorted(point.without_skips) for word in ("--without-skip", name)]
-        command += ["--contacts", str(contacts), "--threads", str(threads)]
+        command += ["--contacts", str(contacts)]
     started_s = time.monotonic()
     output, process_s = timed(command, f"{point.name} on {line.name}", contacts.with_suffix(".err"), environment)
     elapsed_s = time.monotonic() - started_s

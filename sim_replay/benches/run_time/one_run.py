@@ -42,12 +42,12 @@ def peak_memory_mb() -> float:
 
 
 def run_chain(
-    log: Path, config: Config, thoroughness: Thoroughness, without_skips: Skips, threads: int, contacts: Path
+    log: Path, config: Config, thoroughness: Thoroughness, without_skips: Skips, contacts: Path
 ) -> dict[str, object]:
     """Run the chain and write its contacts; returns costs and counts of work."""
     look = _look_of(thoroughness, config)
     return_large_arrays()
-    pipeline = Pipeline(config, without_skips=without_skips, threads=threads, timer=time.process_time, look=look)
+    pipeline = Pipeline(config, without_skips=without_skips, timer=time.process_time, look=look)
     n_pings, n_samples, first_s, last_s, covered_m2, read_s = 0, 0, math.nan, math.nan, 0.0, 0.0
     mark = start = time.process_time()
 
@@ -111,23 +111,12 @@ def main() -> int:
     parser.add_argument("--thoroughness", type=parse_thoroughness, default=Thoroughness(), help="of looks, as JSON")
     parser.add_argument("--without-skip", action="append", default=[], choices=[skip.name for skip in SKIPS])
     parser.add_argument("--contacts", type=Path, required=True)
-    parser.add_argument("--threads", type=int, default=1)
     arguments = parser.parse_args()
-    if arguments.threads == 1 and hasattr(os, "sched_setaffinity"):
+    if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
     config = parse_config(arguments.config.read_text("utf-8"), str(arguments.config))
-    print(
-        json.dumps(
-            run_chain(
-                arguments.log,
-                config,
-                arguments.thoroughness,
-                frozenset(arguments.without_skip),
-                arguments.threads,
-                arguments.contacts,
-            )
-        )
-    )
+    without_skips = frozenset(arguments.without_skip)
+    print(json.dumps(run_chain(arguments.log, config, arguments.thoroughness, without_skips, arguments.contacts)))
     return 0
 
 

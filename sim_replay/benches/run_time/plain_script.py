@@ -84,15 +84,15 @@ def contacts_of(samples: Any, poses: Any, spacing_m: float, side: int) -> list[d
     return found
 
 
-def main() -> None:
+def find_contacts(log: str, contacts: str) -> None:
     """Read the log, write the contacts."""
-    cv2.setNumThreads(1)
-    poses, sides, range_m = read_xtf(sys.argv[1])
+    poses, sides, range_m = read_xtf(log)
     found = [
         one for side, samples in sides.items() for one in contacts_of(samples, poses, range_m / samples.shape[1], side)
     ]
-    Path(sys.argv[2]).write_text(json.dumps({"type": "FeatureCollection", "features": found}))
+    Path(contacts).write_text(json.dumps({"type": "FeatureCollection", "features": found}))
 
 
 if __name__ == "__main__":
-    main()
+    cv2.setNumThreads(1)
+    find_contacts(*sys.argv[1:])

@@ -1,5 +1,4 @@
-"""Boost stumps over features in 256 bins: GentleBoost and discrete AdaBoost, asymmetric if misses cost more than false
-alarms.
+"""Boost stumps over features in 256 bins: GentleBoost, asymmetric if misses cost more than false alarms.
 
 Sources: J. Friedman, T. Hastie, R. Tibshirani, "Additive logistic regression", Annals of Statistics 28(2), 2000
 (GentleBoost, weight trimming); P. Viola, M. Jones, "Fast and robust classification using asymmetric AdaBoost", NIPS
@@ -11,7 +10,7 @@ give the same stumps bit for bit, and equal splits are equal.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -79,14 +78,25 @@ def gentle_stumps(
     ValueError
         If either class is empty.
     """
-    return _stumps(bins, is_target, n_rounds, asymmetry, rng, gentle_split)
-
-
-def ada_stumps(
-    bins: Bins, is_target: NDArray[np.bool_], n_rounds: int, asymmetry: float, rng: np.random.Generator
-) -> Iterator[BoostedStump]:
-    """Yield stumps of discrete AdaBoost as `gentle_stumps` does: leaves are +-ln((1 - error) / error) / 2."""
-    return _stumps(bins, is_target, n_rounds, asymmetry, rng, ada_split)
+    n_features, n_samples = bins.shape
+    n_targets = int(np.count_nonzero(is_target))
+    if not 0 < n_targets < n_samples:
+        raise ValueError(f"{n_targets} targets among {n_samples} samples: there must be some, and something else")
+    label = np.where(is_target, 1.0, -1.0)
+    weight = np.where(is_target, 0.5 / n_targets, 0.5 / (n_samples - n_targets))
+    largest = _LARGEST_GROWTH * weight
+    favour = np.where(is_target, asymmetry ** (1.0 / n_rounds), 1.0)
+    every = np.arange(n_features, dtype=np.intp)
+    for _ in range(n_rounds):
+        weight = _whole(np.minimum(weight * favour, largest))
+        n_drawn = max(round(_FEATURE_SHARE * n_features), min(_FEWEST_FEATURES, n_features))
+        drawn = np.sort(rng.choice(n_features, size=n_drawn, replace=False)) if n_drawn < n_features else every
+        found = _search(bins, is_target, weight, drawn) or _search(bins, is_target, weight, every)
+        if found is None:
+            return
+        stump = BoostedStump(found.feature, found.last_below, _leaf(found.below), _leaf(found.above))
+        yield stump
+        weight = weight * np.exp(-label * stump.scores(bins) / SCORE_UNIT) / _TOTAL
 
 
 def gentle_split(target: Weights, other: Weights) -> Split | None:
@@ -110,72 +120,19 @@ def gentle_split(target: Weights, other: Weights) -> Split | None:
     return _best(gain, below, above)
 
 
-def ada_split(target: Weights, other: Weights) -> Split | None:
-    """Find the split with the minimum weighted error whose sides vote against each other, as `gentle_split` otherwise.
-
-    The gain is the distance of the error from one half.
-    """
-    target_below, other_below = _below(target), _below(other)
-    n_target, n_other = target_below[:, -1:], other_below[:, -1:]
-    total = n_target + n_other
-    # Error where "below" votes for a target; its complement where it votes against.
-    error = (other_below + (n_target - target_below))[:, :-1] / total
-    bounded = np.clip(error, np.exp(-4.0 * _LARGEST_LEAF), 1.0 - np.exp(-4.0 * _LARGEST_LEAF))
-    below = 0.5 * np.log((1.0 - bounded) / bounded)
-    gain = np.abs(error - 0.5)
-    weight = (target_below + other_below)[:, :-1]
-    gain[(weight <= 0.0) | (weight >= total)] = -np.inf
-    return _best(gain, below, -below)
-
-
 def histograms(bins: Bins, features: NDArray[np.intp], samples: NDArray[np.intp] | slice, weight: Weights) -> Weights:
     """Return (n_chosen, 256) float64: sum of `weight` over the chosen samples in each bin of the chosen features."""
     return np.stack([np.bincount(bins[feature][samples], weights=weight, minlength=N_BINS) for feature in features])
 
 
-def _stumps(
-    bins: Bins,
-    is_target: NDArray[np.bool_],
-    n_rounds: int,
-    asymmetry: float,
-    rng: np.random.Generator,
-    split: Callable[[Weights, Weights], Split | None],
-) -> Iterator[BoostedStump]:
-    n_features, n_samples = bins.shape
-    n_targets = int(np.count_nonzero(is_target))
-    if not 0 < n_targets < n_samples:
-        raise ValueError(f"{n_targets} targets among {n_samples} samples: there must be some, and something else")
-    label = np.where(is_target, 1.0, -1.0)
-    weight = np.where(is_target, 0.5 / n_targets, 0.5 / (n_samples - n_targets))
-    largest = _LARGEST_GROWTH * weight
-    favour = np.where(is_target, asymmetry ** (1.0 / n_rounds), 1.0)
-    every = np.arange(n_features, dtype=np.intp)
-    for _ in range(n_rounds):
-        weight = _whole(np.minimum(weight * favour, largest))
-        n_drawn = max(round(_FEATURE_SHARE * n_features), min(_FEWEST_FEATURES, n_features))
-        drawn = np.sort(rng.choice(n_features, size=n_drawn, replace=False)) if n_drawn < n_features else every
-        found = _search(bins, is_target, weight, drawn, split) or _search(bins, is_target, weight, every, split)
-        if found is None:
-            return
-        stump = BoostedStump(found.feature, found.last_below, _leaf(found.below), _leaf(found.above))
-        yield stump
-        weight = weight * np.exp(-label * stump.scores(bins) / SCORE_UNIT) / _TOTAL
-
-
-def _search(
-    bins: Bins,
-    is_target: NDArray[np.bool_],
-    weight: Weights,
-    features: NDArray[np.intp],
-    split: Callable[[Weights, Weights], Split | None],
-) -> Split | None:
+def _search(bins: Bins, is_target: NDArray[np.bool_], weight: Weights, features: NDArray[np.intp]) -> Split | None:
     heavy = _heavy(weight)
     parts = []
     for of_class in (is_target, ~is_target):
         chosen = heavy & of_class
         samples = np.flatnonzero(chosen)
         parts.append(histograms(bins, features, samples, weight[samples]))
-    found = split(parts[0], parts[1])
+    found = gentle_split(parts[0], parts[1])
     return None if found is None else found._replace(feature=int(features[found.feature]))
 
 

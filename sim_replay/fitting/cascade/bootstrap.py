@@ -49,8 +49,7 @@ class Bags(NamedTuple):
 
 class Errand(NamedTuple):
     """Specify what to collect from a shard: means over `boxes`, of up to n_others windows per tile that are no target.
-    model: the cascade so far, None before there is one. hardest: of what passes it take the best scores, well apart,
-    rather than any.
+    model: the cascade so far, None before there is one. Of what passes it the best scores are taken, well apart.
     """
 
     folder: Path
@@ -58,7 +57,6 @@ class Errand(NamedTuple):
     boxes: tuple[FeatureBox, ...]
     model: CascadeModel | None
     n_others: int
-    hardest: bool
     seed: int
 
 
@@ -137,20 +135,6 @@ def clear_of_targets(tile: LabelledTile) -> NDArray[np.bool_]:
     return clear
 
 
-def merit_of(model: CascadeModel, scores: NDArray[np.int32]) -> NDArray[np.int64]:
-    """Order windows by their scores.
-
-    (n_windows,) int64 order of windows with scores (n_windows, n_groups) of `trace_plane`: the final score, or how many
-    stages they pass and then the score of the first that they do not, or else of the last.
-    """
-    if model.kind == "soft":
-        return scores[:, -1].astype(np.int64)
-    passes = scores >= np.array(model.reject, dtype=np.int32)
-    n_passed = np.cumprod(passes, axis=1).sum(axis=1)
-    last = np.minimum(n_passed, scores.shape[1] - 1)
-    return np.asarray(n_passed.astype(np.int64) * 2**32 + scores[np.arange(len(scores)), last])
-
-
 def well_apart(tile: LabelledTile, found: CascadeResult, n_max: int) -> NDArray[np.intp]:
     """Return indices of up to `n_max` windows that passed a cascade, best first.
 
@@ -163,7 +147,7 @@ def well_apart(tile: LabelledTile, found: CascadeResult, n_max: int) -> NDArray[
 def _merit(plane: CodePlane, model: CascadeModel | None, bags: Bags) -> NDArray[Any]:
     if model is None:
         return np.asarray(pool_box_means(plane, (_HIGHLIGHT,), bags.rows, bags.columns)[0])
-    return merit_of(model, trace_plane(plane, model, bags.rows, bags.columns))
+    return trace_plane(plane, model, bags.rows, bags.columns)[:, -1]
 
 
 def _others(
@@ -176,10 +160,7 @@ def _others(
         chosen = chosen[_is_whole(plane, rows[chosen], columns[chosen])]
         return rows[chosen], columns[chosen]
     passed = run_plane(plane._replace(usable=clear), errand.model, None)
-    if errand.hardest:
-        chosen = well_apart(tile, passed, errand.n_others)
-    else:
-        chosen = np.sort(rng.choice(passed.rows.size, size=min(errand.n_others, passed.rows.size), replace=False))
+    chosen = well_apart(tile, passed, errand.n_others)
     return passed.rows[chosen].astype(np.intp), passed.columns[chosen].astype(np.intp)
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import Literal, TypeAlias
 
 import msgspec
 
@@ -18,15 +17,12 @@ from sim_replay.fitting.cascade.store import MANIFEST_NAME, read_manifest
 from sim_replay.fitting.cascade.trainer import train
 from sim_replay.fitting.cascade.training_images import render_set, tile_set_words
 
-Kind: TypeAlias = Literal["soft", "stages"]
-
 
 def train_model(
     spec: Path | None,
     out: Path,
     *,
     tiles: Path | None,
-    kind: Kind,
     n_stumps: int,
     farm: Farm,
     say: Callable[[str], None],
@@ -40,7 +36,7 @@ def train_model(
     tiles
         Folder that keeps the rendered tiles; those that it holds of the same spec are used as they are.
     n_stumps
-        Of a soft cascade.
+        Of the cascade, at most.
     say
         Takes lines on progress.
 
@@ -56,7 +52,7 @@ def train_model(
         if not _holds_tiles_of(folder, spec):
             for line in tile_set_words(render_set(spec, folder, farm)).splitlines():
                 say(line)
-        data = encode_model(train(folder, kind, farm, say, n_stumps))
+        data = encode_model(train(folder, farm, say, n_stumps))
     try:
         write_file(out, data)
     except OSError as error:

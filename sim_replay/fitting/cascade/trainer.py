@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Sequence
 from itertools import accumulate
 from pathlib import Path
-from typing import Final, Literal, NamedTuple, TypeAlias
+from typing import Final, NamedTuple, TypeAlias
 
 import msgspec
 import numpy as np
@@ -24,7 +24,6 @@ from sim_replay.fitting.cascade.bootstrap import Errand, glean
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
 from sim_replay.fitting.cascade.pool import Pool, bin_edges, feature_pool, model_stump, quantise
 from sim_replay.fitting.cascade.soft import group_sizes, reject_thresholds
-from sim_replay.fitting.cascade.stages import FALSE_ALARMS, StageSamples, train_stage
 from sim_replay.fitting.cascade.store import Manifest, Shard, read_manifest
 from sim_replay.fitting.cascade.tiles import Split
 from sim_replay.fitting.cascade.validation import (
@@ -38,7 +37,6 @@ from sim_replay.fitting.cascade.validation import (
     sightings,
 )
 
-Kind: TypeAlias = Literal["soft", "stages"]
 Progress: TypeAlias = Callable[[str], None]
 Floats: TypeAlias = NDArray[np.float32]
 
@@ -47,7 +45,7 @@ N_STUMPS: Final = 320
 
 _SEED: Final = 7  # of the training, fixed so that models repeat
 _DETECTION: Final = (
-    0.95  # share of the validation targets that a soft cascade keeps: the last few are hidden in rocks, or hardly show
+    0.95  # share of the validation targets that the cascade keeps: the last few are hidden in rocks, or hardly show
 )
 _PASSES: Final = 5  # over the tiles, each with so many more of a soft cascade's stumps
 _ASYMMETRY: Final = 4.0  # times the weight of clutter, that targets start with
@@ -57,8 +55,6 @@ _OTHERS: Final = 20_000  # windows a pass is to bring, over all tiles
 _MAX_PER_TILE: Final = 30  # hard windows of one tile, so that no tile makes up the set
 _FEWEST: Final = 0.01  # of the windows a pass was to bring; with fewer there is little left to learn
 _EDGE_WINDOWS: Final = 6000  # of each class, for the quantiles
-_STAGES: Final = 20  # at most, of the cascade by stages
-_JUDGES: Final = 3  # one shard in three judges the stages that the others train
 _SPACING_TOLERANCE: Final = 0.1  # relative change of a tile's spacing that a model accepts
 _SHARES: Final = (0.8, 0.9, 0.95, 0.98)  # of targets that pass, for which the report gives the windows that pass
 _UNKNOWN: Final = Calibration(score=(0, 1), log_odds=(0.0, 0.0))
@@ -76,20 +72,18 @@ class _Tiles(NamedTuple):
 
 
 class _Lesson(NamedTuple):
-    """Hold the samples of a pass over the training shards: box means (n_boxes, n) and shard (n,) of targets and others;
-    where others stand, (n, 4): shard, tile, row, column. n_asked: others that would have been taken. spacings_m:
-    (n_tiles, 2).
+    """Hold the samples of a pass over the training shards: box means (n_boxes, n) of targets and others; where others
+    stand, (n, 4): shard, tile, row, column. n_asked: others that would have been taken. spacings_m: (n_tiles, 2).
     """
 
     targets: Floats
-    target_shard: NDArray[np.intp]
     others: Floats
     places: NDArray[np.int32]
     n_asked: int
     spacings_m: NDArray[np.float64]
 
 
-def train(folder: Path, kind: Kind, farm: Farm, progress: Progress, n_stumps: int = N_STUMPS) -> CascadeModel:
+def train(folder: Path, farm: Farm, progress: Progress, n_stumps: int = N_STUMPS) -> CascadeModel:
     """Train on the "train" shards of a folder, settle thresholds and calibration on its "validate" shards.
 
     Parameters
@@ -97,7 +91,7 @@ def train(folder: Path, kind: Kind, farm: Farm, progress: Progress, n_stumps: in
     progress
         Takes lines about progress.
     n_stumps
-        Of a soft cascade, at most; stages have as many as they need.
+        Of the cascade, at most.
 
     Raises
     ------
@@ -113,8 +107,7 @@ def train(folder: Path, kind: Kind, farm: Farm, progress: Progress, n_stumps: in
             )
     pool = feature_pool()
     progress(f"{len(pool.features)} features of {len(pool.boxes)} boxes")
-    trained = _soft(tiles, pool, progress, n_stumps) if kind == "soft" else _stages(tiles, pool, progress)
-    model = _validated(tiles, trained, progress)
+    model = _validated(tiles, _soft(tiles, pool, progress, n_stumps), progress)
     check_model(model, f"the model trained on {folder}")
     return model
 
@@ -125,7 +118,7 @@ def _soft(tiles: _Tiles, pool: Pool, progress: Progress, n_stumps: int) -> Casca
     known: set[tuple[int, ...]] = set()
     n_rounds = 0
     for number in range(_PASSES):
-        lesson = _pass(tiles, pool, model, True, number)
+        lesson = _pass(tiles, pool, model, number)
         places = [tuple(place) for place in lesson.places.tolist()]
         is_new = np.array([place not in known for place in places], dtype=np.bool_)
         known.update(places)
@@ -167,78 +160,22 @@ def _boosted(
     ].T
     reject = [score - _MINING_MARGIN for score in reject_thresholds(after, np.arange(len(after)), _MINING_DETECTION)]
     groups = [_model_group(pool, edges, stumps[stop - size : stop]) for size, stop in zip(sizes, stops, strict=True)]
-    return _model(tiles, "soft", groups, reject, lesson, others.shape[1])
+    return _model(tiles, groups, reject, lesson, others.shape[1])
 
 
-def _stages(tiles: _Tiles, pool: Pool, progress: Progress) -> CascadeModel:
-    model: CascadeModel | None = None
-    groups: list[tuple[Stump, ...]] = []
-    reject: list[int] = []
-    n_seen = 0
-    for number in range(_STAGES):
-        lesson = _pass(tiles, pool, model, False, number)
-        n_seen += lesson.others.shape[1]
-        edges = _edges(pool, lesson.targets, lesson.others)
-        bins = quantise(pool, edges, np.concatenate((lesson.targets, lesson.others), axis=1))
-        is_target = np.arange(bins.shape[1]) < lesson.targets.shape[1]
-        judges = _are_judges(tiles)[np.concatenate((lesson.target_shard, lesson.places[:, 0]))]
-        learned, judged = (StageSamples(bins[:, some], is_target[some]) for some in (~judges, judges))
-        fewest = min(
-            int(np.count_nonzero(samples.is_target == kind)) for samples in (learned, judged) for kind in (True, False)
-        )
-        if lesson.others.shape[1] < _FEWEST * lesson.n_asked or not fewest:
-            progress(
-                f"stage {number + 1}: {lesson.others.shape[1]} others pass all stages before, too few to learn from"
-            )
-            break
-        stage = train_stage(learned, judged, _rng(number))
-        if not stage.stumps:
-            raise UsageError(
-                f"{tiles.folder}: no feature separates targets from clutter. Render a set with more missions"
-            )
-        progress(
-            f"stage {number + 1}: {len(stage.stumps)} stumps, {stage.detection:.4f} of the targets and "
-            f"{stage.false_alarms:.4f} of {lesson.others.shape[1]} others pass"
-        )
-        if model is not None and stage.false_alarms > FALSE_ALARMS:
-            progress(
-                f"stage {number + 1} misses its goal and is left out: it would cost as many targets as one that meets "
-                "it"
-            )
-            break
-        groups.append(_model_group(pool, edges, stage.stumps))
-        reject.append(stage.reject)
-        model = _model(tiles, "stages", groups, reject, lesson, n_seen)
-    if model is None:
-        raise UsageError(
-            f"{tiles.folder}: too few tiles for a first stage. Render a set with at least {_JUDGES} missions to train "
-            "on"
-        )
-    return model
-
-
-def _pass(tiles: _Tiles, pool: Pool, model: CascadeModel | None, hardest: bool, number: int) -> _Lesson:
+def _pass(tiles: _Tiles, pool: Pool, model: CascadeModel | None, number: int) -> _Lesson:
     shards = tiles.shards("train")
     n_tiles = sum(shard.n_tiles for shard in shards)
     n_others = min(_MAX_PER_TILE, math.ceil(_OTHERS / n_tiles))
-    errands = [Errand(tiles.folder, shard, pool.boxes, model, n_others, hardest, _SEED + number) for shard in shards]
+    errands = [Errand(tiles.folder, shard, pool.boxes, model, n_others, _SEED + number) for shard in shards]
     gleaned = list(run_tasks(glean, errands, tiles.farm))
     return _Lesson(
         targets=np.concatenate([item.targets for item in gleaned], axis=1),
-        target_shard=np.repeat(np.arange(len(gleaned)), [item.targets.shape[1] for item in gleaned]),
         others=np.concatenate([item.others for item in gleaned], axis=1),
         places=np.concatenate([np.insert(item.places, 0, shard, axis=1) for shard, item in enumerate(gleaned)]),
         n_asked=n_others * n_tiles,
         spacings_m=np.concatenate([item.spacings_m for item in gleaned]),
     )
-
-
-def _are_judges(tiles: _Tiles) -> NDArray[np.bool_]:
-    """Return (n_shards,) bool, drawn so that no scene is always among them."""
-    n_shards = len(tiles.shards("train"))
-    chosen = np.zeros(n_shards, dtype=np.bool_)
-    chosen[_rng(0).permutation(n_shards)[: n_shards // _JUDGES]] = True
-    return chosen
 
 
 def _rng(number: int) -> np.random.Generator:
@@ -259,12 +196,7 @@ def _model_group(pool: Pool, edges: Floats, stumps: Sequence[BoostedStump]) -> t
 
 
 def _model(
-    tiles: _Tiles,
-    kind: Kind,
-    groups: Sequence[tuple[Stump, ...]],
-    reject: Sequence[int],
-    lesson: _Lesson,
-    n_others: int,
+    tiles: _Tiles, groups: Sequence[tuple[Stump, ...]], reject: Sequence[int], lesson: _Lesson, n_others: int
 ) -> CascadeModel:
     backgrounds = sorted({shard.background.rsplit("/", 1)[0] for shard in tiles.shards("train")})
     min_m, max_m = lesson.spacings_m.min(axis=0), lesson.spacings_m.max(axis=0)
@@ -273,7 +205,7 @@ def _model(
         for a, b in zip(min_m, max_m, strict=True)
     ]
     return CascadeModel(
-        kind=kind,
+        kind="soft",
         trained_on=(
             f"{lesson.targets.shape[1]} looks at targets and {n_others} other windows of {', '.join(backgrounds)}"
         ),
@@ -287,7 +219,7 @@ def _model(
 
 
 def _validated(tiles: _Tiles, model: CascadeModel, progress: Progress) -> CascadeModel:
-    """Return the model with thresholds (if soft), calibration and expected detection from the validation shards."""
+    """Return the model with thresholds, calibration and expected detection from the validation shards."""
     shards = tiles.shards("validate")
     seen = [
         sighting
@@ -300,8 +232,7 @@ def _validated(tiles: _Tiles, model: CascadeModel, progress: Progress) -> Cascad
             "missions"
         )
     scores = np.stack([sighting.trace for sighting in seen])
-    if model.kind == "soft":
-        model = msgspec.structs.replace(model, reject=reject_thresholds(scores, np.arange(len(scores)), _DETECTION))
+    model = msgspec.structs.replace(model, reject=reject_thresholds(scores, np.arange(len(scores)), _DETECTION))
     parts = list(run_tasks(passed, [Inspection(tiles.folder, shard, model) for shard in shards], tiles.farm))
     detections = np.concatenate([part.detections for part in parts])
     is_target = np.concatenate([part.is_target for part in parts])

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from auv_mcm.detect.cascade.model import Calibration, CascadeModel, ExpectedPd
 from auv_mcm.detect.cascade.run import run_plane, trace_plane
-from sim_replay.fitting.cascade.bootstrap import clear_of_targets, merit_of, planes_of, target_bags, well_apart
+from sim_replay.fitting.cascade.bootstrap import clear_of_targets, planes_of, target_bags, well_apart
 from sim_replay.fitting.cascade.soft import best_windows
 from sim_replay.fitting.cascade.store import Shard
 from sim_replay.fitting.cascade.tiles import LabelledTile
@@ -63,7 +63,7 @@ def sightings(inspection: Inspection) -> list[ValidationSighting]:
     for tile, plane in planes_of(inspection.folder, inspection.shard):
         bags = target_bags(tile, plane)
         scores = trace_plane(plane, inspection.model, bags.rows, bags.columns)
-        best = best_windows(merit_of(inspection.model, scores), bags.bag)
+        best = best_windows(scores[:, -1], bags.bag)
         for target, window in zip(bags.targets, best, strict=True):
             seen.append(ValidationSighting(target.seabed, target.ground_range_m, scores[window]))
     return seen

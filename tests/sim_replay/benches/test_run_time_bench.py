@@ -18,8 +18,7 @@ from auv_mcm.settings.config import Config
 from auv_mcm.skips import SKIPS
 from sim_replay.augment.recorded_line import scattered
 from sim_replay.benches.run_time import plain_script
-from sim_replay.benches.run_time.apart import Apart
-from sim_replay.benches.run_time.fallback import WITHOUT_KERNELS, fallback_rows
+from sim_replay.benches.run_time.apart import WITHOUT_KERNELS, Apart
 from sim_replay.benches.run_time.lines import BenchMission, with_short_legs, without_objects
 from sim_replay.benches.run_time.measure import BenchMachine, MissionCost, SettingResult, run_once
 from sim_replay.benches.run_time.one_run import DEFAULT
@@ -34,14 +33,6 @@ from sim_replay.benches.run_time.results import (
     reason_words,
     require_same_missions,
 )
-from sim_replay.benches.run_time.scaling import (
-    ScalingSeries,
-    ScalingStep,
-    fitted_exponent,
-    scaling_variants,
-    scene_of,
-    series_rows,
-)
 from sim_replay.benches.run_time.skip_table import SkipEffect, register_rows, skip_rows
 from sim_replay.benches.run_time.targets import cost_targets, target_rows
 from sim_replay.missions import config_for
@@ -49,7 +40,7 @@ from sim_replay.scoring import ScoredMission, parse_contacts, parse_truth, score
 from sim_replay.scoring.intervals import density, proportion
 from sim_replay.simulate import simulate
 from sim_replay.simulator.scene import Lawnmower
-from sim_replay.simulator.scene_file import check_scene, parse_scene, read_scene
+from sim_replay.simulator.scene_file import parse_scene, read_scene
 
 BRIGHT = """
 world: {depth_m: 12, seabeds: [{type: sand}]}
@@ -221,7 +212,6 @@ def test_targets_say_what_missed_and_where_the_time_goes(tmp_path: Path) -> None
     [
         (["--scenes", "moon"], "moon"),
         (["--skips", "--page", "a.html"], "--page"),
-        (["--fallback", "--page", "a.html"], "--fallback"),
         (["--knobs", "colour"], "colour"),
     ],
 )
@@ -255,34 +245,8 @@ def test_the_skip_table_says_what_is_lost_and_new_among_called() -> None:
     assert len(register_rows()) == len(SKIPS)
 
 
-def test_the_fallback_is_compared_by_time_and_by_what_is_called() -> None:
-    fast, slow = (
-        msgspec.structs.replace(a_run(9.0, chain_s=chain_s), called=called)
-        for chain_s, called in (((2.0, 3.0), ((1.0, 1.0), (2.0, 2.0))), ((10.0, 12.0), ((2.0, 2.0),)))
-    )
-    both = (msgspec.structs.replace(a_point(DEFAULT, 9.0), runs={"flat 1": run}) for run in (fast, slow))
-    assert fallback_rows(*both) == [
-        ["flat 1", "c", "24.0", "2.0 s, x 1.0", "3", "2", "1"],
-        ["flat 1", "numpy", "5.5", "10.0 s, x 5.0", "3", "1", "1"],
-    ]
-
-
 def test_without_kernels_the_bench_runs_numpy(tmp_path: Path) -> None:
     done = simulate(parse_scene(BRIGHT, "bright"), tmp_path / "sim")
     truth = parse_truth(json.loads(done.truth.read_bytes()), "bright")
     line = BenchMission("bright", "bright", "scene", done.log, Config(), truth)
     assert run_once(chain_settings()[0], line, tmp_path, environment=WITHOUT_KERNELS)["kernels"] == "numpy"
-
-
-def test_exponents_are_those_of_a_power_law() -> None:
-    values = [1.0, 2.0, 4.0]
-    assert fitted_exponent(values, [3.0 * value**1.5 for value in values]) == pytest.approx((1.5, 0.0), abs=1e-9)
-    steps = tuple(ScalingStep(value=value, chain_s=value, elapsed_s=1.0) for value in values)
-    (row,) = series_rows([ScalingSeries(against="length", steps=steps)])
-    assert row == ["length", "1, 2, 4", "1.00, 2.00, 4.00", "1.00 ± 0.00", "1.00, 1.00, 1.00", "0.00 ± 0.00"]
-
-
-def test_every_mission_of_a_series_can_be() -> None:
-    for some in scaling_variants().values():
-        for _, variant in some:
-            check_scene(scene_of(variant))

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 import msgspec
 import numpy as np
@@ -10,7 +11,7 @@ from auv_mcm.detect.cascade.codes import CodePlane, make_plane
 from auv_mcm.detect.cascade.model import Calibration, CascadeModel
 from auv_mcm.detect.cascade.run import run_plane, trace_plane
 from sim_replay.fitting.cascade.boost import BoostedStump
-from sim_replay.fitting.cascade.bootstrap import CLEAR_M, Errand, clear_of_targets, glean, merit_of, target_bags
+from sim_replay.fitting.cascade.bootstrap import CLEAR_M, Errand, clear_of_targets, glean, target_bags
 from sim_replay.fitting.cascade.pool import feature_pool, model_stump, pool_box_means
 from sim_replay.fitting.cascade.store import pack, write_set
 from sim_replay.fitting.cascade.tiles import LabelledTile
@@ -32,7 +33,7 @@ def _plane(tile: LabelledTile) -> CodePlane:
     )
 
 
-def _model(kind: str = "soft", reject: int = 0) -> CascadeModel:
+def _model(reject: int = 0, kind: Literal["soft", "stages"] = "soft") -> CascadeModel:
     """Stumps about as likely to hold as not, in groups of three."""
     chosen = range(5, len(POOL.features), 700)
     edges = np.array([[1.0 if feature.is_ratio else 0.0] for feature in POOL.features], dtype=np.float32)
@@ -40,7 +41,7 @@ def _model(kind: str = "soft", reject: int = 0) -> CascadeModel:
         model_stump(POOL, edges, BoostedStump(feature, 0, -100 - k, 100 + 7 * k)) for k, feature in enumerate(chosen)
     ]
     return CascadeModel(
-        kind="soft" if kind == "soft" else "stages",
+        kind=kind,
         trained_on="nothing",
         training_sha256="",
         row_spacing_m=(0.1, 0.2),
@@ -86,9 +87,9 @@ def test_windows_of_rocks_count_as_others_and_those_near_targets_do_not() -> Non
 
 
 @pytest.mark.parametrize("kind", ["soft", "stages"])
-def test_trace_is_what_the_cascade_scores(kind: str) -> None:
+def test_trace_is_what_the_cascade_scores(kind: Literal["soft", "stages"]) -> None:
     plane = _plane(drawn_tile(3))
-    everything = _model(kind, reject=-(10**6))
+    everything = _model(-(10**6), kind)
     ran = run_plane(plane, everything, None)
     some = np.random.Generator(np.random.PCG64(1)).integers(0, 900, 1500)  # neighbours, in no order, some twice
     rows, columns = ran.rows[some].astype(np.intp), ran.columns[some].astype(np.intp)
@@ -102,15 +103,9 @@ def test_trace_is_what_the_cascade_scores(kind: str) -> None:
         assert np.array_equal(scores[:, 1], trace_plane(plane, alone, rows, columns)[:, 0])
 
 
-def test_a_window_that_passes_more_stages_has_more_merit_whatever_its_score() -> None:
-    scores = np.array([[900, -1, 500], [1, 2, -300], [1, 0, 0], [-5, 900, 900], [5, -9, 0]], dtype=np.int32)
-    assert np.argsort(merit_of(_model("stages"), scores)).tolist() == [3, 4, 0, 1, 2]
-    assert np.argsort(merit_of(_model("soft"), scores), kind="stable").tolist() == [1, 2, 4, 0, 3]
-
-
-def _gleaned_places(folder: Path, model: CascadeModel | None, hardest: bool = True, n_others: int = 10) -> np.ndarray:
+def _gleaned_places(folder: Path, model: CascadeModel | None) -> np.ndarray:
     manifest = write_set(folder, [pack([drawn_tile(1), drawn_tile(2)], "train", "drawn/0", "simulated")], {})
-    errand = Errand(folder, manifest.shards[0], POOL.boxes, model, n_others, hardest, 0)
+    errand = Errand(folder, manifest.shards[0], POOL.boxes, model, 10, 0)
     first, again = glean(errand), glean(errand)
     for name in first._fields:
         assert np.array_equal(getattr(first, name), getattr(again, name))
@@ -125,21 +120,16 @@ def _gleaned_places(folder: Path, model: CascadeModel | None, hardest: bool = Tr
 def test_others_are_any_windows_before_there_is_a_cascade_and_its_false_alarms_then(tmp_path: Path) -> None:
     assert 10 < len(_gleaned_places(tmp_path, None)) <= 20
     model = _model(reject=300)
-    for hardest in (True, False):
-        places = _gleaned_places(tmp_path, model, hardest)
-        assert len(places)
-        for number, tile in enumerate((drawn_tile(1), drawn_tile(2))):
-            passed = run_plane(_plane(tile), model, None)
-            alarms = dict(
-                zip(
-                    zip(passed.rows.tolist(), passed.columns.tolist(), strict=True), passed.scores.tolist(), strict=True
-                )
-            )
-            taken = [(row, column) for at, row, column in places.tolist() if at == number]
-            assert all(place in alarms for place in taken)
-            if hardest:
-                clear = clear_of_targets(tile)
-                assert alarms[taken[0]] == max(score for place, score in alarms.items() if clear[place])
+    places = _gleaned_places(tmp_path, model)
+    assert len(places)
+    for number, tile in enumerate((drawn_tile(1), drawn_tile(2))):
+        passed = run_plane(_plane(tile), model, None)
+        at = zip(passed.rows.tolist(), passed.columns.tolist(), strict=True)
+        alarms = dict(zip(at, passed.scores.tolist(), strict=True))
+        taken = [(row, column) for at, row, column in places.tolist() if at == number]
+        assert all(place in alarms for place in taken)
+        clear = clear_of_targets(tile)
+        assert alarms[taken[0]] == max(score for place, score in alarms.items() if clear[place])
     assert not len(_gleaned_places(tmp_path, _model(reject=10**6)))
 
 
@@ -153,7 +143,7 @@ def test_a_target_is_shown_by_its_brightest_window_and_then_by_its_best(tmp_path
         trace_plane(plane, model, bags.rows, bags.columns)[:, -1],
     )
     for given_model in (None, model):
-        shown = glean(Errand(tmp_path, manifest.shards[0], POOL.boxes, given_model, 1, True, 0)).targets
+        shown = glean(Errand(tmp_path, manifest.shards[0], POOL.boxes, given_model, 1, 0)).targets
         for number, target in enumerate(bags.targets):
             mine = np.flatnonzero(bags.bag == number)
             (window,) = mine[(means[:, mine] == shown[:, number : number + 1]).all(axis=0)]

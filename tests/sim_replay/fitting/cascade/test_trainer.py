@@ -11,13 +11,13 @@ from auv_mcm.detect.cascade.run import run_plane
 from auv_mcm.errors import UsageError
 from sim_replay.fitting.cascade.bootstrap import well_apart
 from sim_replay.fitting.cascade.farm import Farm
-from sim_replay.fitting.cascade.trainer import Kind, train
+from sim_replay.fitting.cascade.trainer import train
 from tests.sim_replay.fitting.cascade.training_tiles import drawn_tile, write_drawn_set
 
 
-def _train(folder: Path, kind: Kind, workers: int = 1) -> tuple[CascadeModel, list[str]]:
+def _train(folder: Path, workers: int = 1) -> tuple[CascadeModel, list[str]]:
     lines: list[str] = []
-    return train(folder, kind, Farm(workers), lines.append, n_stumps=10), lines
+    return train(folder, Farm(workers), lines.append, n_stumps=10), lines
 
 
 def _found(model: CascadeModel, seed: int) -> tuple[int, int]:
@@ -41,11 +41,9 @@ def _found(model: CascadeModel, seed: int) -> tuple[int, int]:
     return n_found, int((~on_target).sum())
 
 
-@pytest.mark.parametrize("kind", ["soft", "stages"])
-def test_a_cascade_learns_targets_with_shadows_from_rocks_without(kind: Kind, tmp_path: Path) -> None:
+def test_a_cascade_learns_targets_with_shadows_from_rocks_without(tmp_path: Path) -> None:
     manifest = write_drawn_set(tmp_path)
-    model, lines = _train(tmp_path, kind)
-    assert model.kind == kind
+    model, lines = _train(tmp_path)
     assert model.training_sha256 == manifest.sha256
     assert parse_model(encode_model(model), "made here") == model
     assert sum(cell.n_targets for cell in model.expected_pd) == 12
@@ -58,16 +56,10 @@ def test_a_cascade_learns_targets_with_shadows_from_rocks_without(kind: Kind, tm
 
 def test_same_tiles_give_the_same_model_on_any_number_of_workers(tmp_path: Path) -> None:
     write_drawn_set(tmp_path, 3, 1, 1)
-    assert encode_model(_train(tmp_path, "soft")[0]) == encode_model(_train(tmp_path, "soft", workers=2)[0])
+    assert encode_model(_train(tmp_path)[0]) == encode_model(_train(tmp_path, workers=2)[0])
 
 
 def test_a_set_without_targets_to_validate_on_is_refused(tmp_path: Path) -> None:
     write_drawn_set(tmp_path, 2, 0)
     with pytest.raises(UsageError, match="no targets among the 'validate' tiles"):
-        _train(tmp_path, "soft")
-
-
-def test_too_few_missions_for_stages_are_refused(tmp_path: Path) -> None:
-    write_drawn_set(tmp_path, 2, 1, 1)
-    with pytest.raises(UsageError, match="at least 3 missions"):
-        _train(tmp_path, "stages")
+        _train(tmp_path)
