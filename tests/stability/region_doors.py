@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -10,11 +11,12 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.classify.fit import Effort, fit_shapes
+from auv_mcm.classify.fit import Effort, ShapeFits, fit_shapes
 from auv_mcm.classify.likelihood import labels_cost
-from auv_mcm.confirm.mrf import segment
+from auv_mcm.confirm.mrf import Segmentation, segment
 from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region
-from auv_mcm.confirm.snake import Start, converge
+from auv_mcm.confirm.snake import Contours, Start, converge
+from auv_mcm.kernels import snake_twin
 from auv_mcm.solids.shapes import TruncatedCone
 from sim_replay.benches.every_stage.drawn_contours import box
 from tests.auv_mcm.classify.closed_forms import closed_form_region
@@ -70,6 +72,30 @@ DOORS: dict[str, Callable[[Region], Any]] = {
 
 
 def through(door: str, region: Region) -> Any:
-    """What a door says, every floating-point flag but underflow being an error."""
+    """What a door says, of finite numbers in their order, every floating-point flag but underflow being an error."""
     with np.errstate(all="raise", under="ignore"):
-        return DOORS[door](region)
+        answer = DOORS[door](region)
+    if isinstance(answer, Segmentation):
+        assert answer.labels.shape == region.intensity.shape
+        assert answer.labels.max(initial=0) <= 2
+        numbers = [answer.energy, answer.lower_bound, answer.smoothness, *answer.correlation, answer.law.looks]
+        assert np.isfinite([*numbers, answer.background_mean, answer.shadow_mean, answer.highlight_mean]).all()
+        assert answer.lower_bound <= answer.energy + 1e-9 * abs(answer.energy)
+    elif isinstance(answer, Contours):
+        assert_sound(answer, region)
+    elif isinstance(answer, ShapeFits):
+        for fit in answer.fits:
+            best = fit.best
+            assert np.isfinite([best.cost, best.row, best.ground_range_m, fit.plausibility]).all()
+        for fit in answer.fits[:1]:
+            assert np.isfinite([*fit.contrast, *fit.sigma.values()]).all()
+    return answer
+
+
+def assert_sound(contours: Contours, region: Region) -> None:
+    """Polygons without crossings inside the region, or none, and a criterion unless they are rejected."""
+    for nodes in (contours.highlight, contours.shadow):
+        assert np.isfinite(nodes).all()
+        assert len(nodes) == 0 or snake_twin.is_sound(nodes)
+        assert ((nodes >= 0.0) & (nodes <= region.intensity.shape)).all()
+    assert contours.rejected or math.isfinite(contours.criterion)

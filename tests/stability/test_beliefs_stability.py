@@ -161,17 +161,3 @@ def test_likelihoods_of_a_million_nats_keep_their_differences() -> None:
             for shift in (0.0, 1e6)
         )
         np.testing.assert_allclose(far, plain, rtol=0, atol=1e-9)
-
-
-def test_permutations_of_sixty_views_give_the_same_bits() -> None:
-    random = generator(6)
-    views = []
-    for _ in range(60):
-        nll = random.exponential(20.0, N_CLASSES).tolist()
-        mass = view_mass({name: ClassEvidence(nll=x) for name, x in zip(FRAME, nll, strict=True)}, 0.6)
-        views.append(ViewMass(mass=mass, aspect_rad=float(random.uniform(0.0, 7.0))))
-    fusion = combine(views)
-    for _ in range(5):
-        again = combine([views[i] for i in random.permutation(60)])
-        np.testing.assert_array_equal(again.mass, fusion.mass)
-        assert again.conflict == fusion.conflict

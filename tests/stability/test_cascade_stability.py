@@ -5,7 +5,6 @@ however a tile lies.
 from __future__ import annotations
 
 import math
-from concurrent.futures import ThreadPoolExecutor
 
 import msgspec
 import numpy as np
@@ -14,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from auv_mcm.detect.candidates import NO_FAINT_PLACES, STEP_M
+from auv_mcm.detect.candidates import STEP_M
 from auv_mcm.detect.cascade.bands import (
     WINDOW,
     WINDOW_FAR_M,
@@ -145,6 +144,18 @@ def test_windows_are_accounted_for_at_every_altitude_on_every_grid(
     assert len(result.rows) == result.n_alive[-1]
 
 
+@pytest.mark.parametrize("first_return_m", [0.0, 1e-9, 0.05, 0.3, 1.0, 30.0, 190.0])
+@pytest.mark.parametrize("spacing", [(0.01, 0.005), (0.12, 0.06), (2.0, 2.0), (0.01, 2.0), (2.0, 0.02)])
+def test_no_altitude_and_no_grid_raises_a_flag(first_return_m: float, spacing: tuple[float, float]) -> None:
+    row_m, column_m = spacing
+    looked_at(tile_of(speckle(3, (60, 90)), row_m=row_m, column_m=column_m, first_return_m=first_return_m), None)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 400), (2, 3), (400, 1), (7, 7)])
+def test_no_shape_raises_a_flag(shape: tuple[int, int]) -> None:
+    looked_at(tile_of(speckle(4, shape)), None)
+
+
 # --- exact sums ---
 
 
@@ -213,6 +224,14 @@ def test_reversing_the_track_reverses_the_windows(seed: int) -> None:
     assert {(23 - row, column): score for (row, column), score in scores(other).items()} == scores(one)
 
 
+def test_reversing_the_track_finds_the_same_object() -> None:
+    plane = with_object(speckle(5))
+    there, back = (looked_at(tile_of(p), None).detections[0] for p in (plane, plane[::-1]))
+    assert SHAPE[0] - back.row == pytest.approx(there.row, abs=1.0)
+    assert back.column == pytest.approx(there.column, abs=1.0)
+    assert back.score == pytest.approx(there.score, abs=1e-3)
+
+
 def test_a_side_is_as_good_as_the_other() -> None:
     port = tile_of(with_object(speckle()))
     assert scores(run(port)) == scores(run(msgspec.structs.replace(port, side="starboard")))
@@ -274,38 +293,6 @@ def test_of_windows_that_are_all_alike_the_first_are_kept_however_often_asked() 
     alike = run(tile, ALL_PASS)
     assert len(set(alike.scores.tolist())) == 1
     assert list(scores(alike)) == sorted(scores(alike))
-
-
-def fields_of(result: TileDetections) -> list[object]:
-    detections = [
-        (
-            d.row,
-            d.column,
-            d.score,
-            d.cascade_score,
-            d.p_mine,
-            d.latitude_deg,
-            d.covariance_m2.tolist(),
-            d.snippet.tobytes(),
-        )
-        for d in result.detections
-    ]
-    faint = [values.tolist() for values in result.faint]
-    return [detections, faint, *result._replace(faint=NO_FAINT_PLACES)[1:]]
-
-
-@pytest.mark.parametrize(("model", "max_evaluations"), [(None, None), (MODEL, None), (MODEL, 60_000)])
-def test_the_same_tile_gives_the_same_bits_alone_and_among_threads(
-    model: CascadeModel | None, max_evaluations: int | None
-) -> None:
-    def detected(tile: Tile) -> list[object]:
-        return fields_of(detect_tile(tile, CONFIG, model, max_evaluations=max_evaluations))
-
-    tiles = [tile_of(with_object(speckle(k))) for k in range(2)]
-    alone = [detected(tile) for tile in tiles]
-    with ThreadPoolExecutor(2) as threads:
-        assert list(threads.map(detected, tiles)) == alone
-    assert alone[0][0]
 
 
 @pytest.mark.parametrize("model", [None, MODEL])

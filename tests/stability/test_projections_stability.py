@@ -20,7 +20,6 @@ from auv_mcm.solids.shapes import (
     Sphere,
     TruncatedCone,
     Wedge,
-    flat_ground_range_m,
     view_shape,
 )
 
@@ -171,14 +170,3 @@ def test_pings_without_navigation_see_nothing_and_spoil_no_other(kind: str) -> N
     for values, value in zip(view, alone, strict=True):
         assert np.isnan(values[:3]).all()
         assert values[3] == value
-
-
-@pytest.mark.parametrize("altitude", [0.3, 4.0, 120.0])
-def test_ground_range_next_to_nadir_has_all_its_digits(altitude: float) -> None:
-    excess = 1e-7
-    slant = altitude * (1.0 + excess)
-    exact = math.sqrt((slant - altitude) * (slant + altitude))
-    assert float(flat_ground_range_m(slant, altitude)) == pytest.approx(exact, rel=1e-15)
-    single = np.float32(slant), np.float32(altitude)
-    assert np.isfinite(flat_ground_range_m(*single))
-    assert flat_ground_range_m([altitude, 0.5 * altitude, 0.0], altitude).tolist() == [0.0, 0.0, 0.0]

@@ -71,7 +71,7 @@ def test_gain_changes_no_label_no_contour_and_no_solid(exponent: float) -> None:
 
 
 @EVERY_DOOR
-@pytest.mark.parametrize("power", [-20, 20])
+@pytest.mark.parametrize("power", [-900, -20, 20, 900])
 def test_gain_of_a_power_of_two_changes_no_bit_but_the_means(door: str, power: int) -> None:
     region = cone_region(2)
     quiet, loud = (
@@ -86,7 +86,7 @@ def test_gain_of_a_power_of_two_changes_no_bit_but_the_means(door: str, power: i
 
 
 @EVERY_DOOR
-@pytest.mark.parametrize("share", [0.001, 0.1])
+@pytest.mark.parametrize("share", [0.001, 0.1, 0.9])
 def test_what_stands_where_nothing_was_measured_changes_no_bit(door: str, share: float) -> None:
     region = cone_region(3)
     random = np.random.Generator(np.random.PCG64(4))

@@ -59,6 +59,12 @@ PICTURES: dict[str, Callable[[], Plane]] = {
     "checkerboard": lambda: np.asarray(GRID.sum(axis=0) % 2, dtype=np.float64),
     "half saturated": lambda: np.where(GRID[1] < SHAPE[1] // 2, 65535.0, speckle()),
     "ramp of 40 dB": lambda: speckle() * 10.0 ** (4.0 * GRID[0] / SHAPE[0]),
+    "ramp of 120 dB": lambda: np.exp(np.linspace(-14.0, 14.0, SHAPE[0] * SHAPE[1])).reshape(SHAPE),
+    "zeros": lambda: np.zeros(SHAPE),
+    "three zeros in ten": lambda: np.where(np.random.Generator(np.random.PCG64(6)).random(SHAPE) < 0.3, 0.0, speckle()),
+    "zeros but for one in twenty": lambda: np.where(
+        np.random.Generator(np.random.PCG64(6)).random(SHAPE) < 0.95, 0.0, speckle()
+    ),
     "one measured ping": lambda: np.where(GRID[0] == 30, speckle(), math.nan),
     "two measured pixels": lambda: np.where((GRID[0] == 30) & (GRID[1] // 2 == 30), speckle(), math.nan),
 }
@@ -73,6 +79,24 @@ def test_pictures_with_hardly_a_class_are_answered_with_numbers(door: str, name:
     if isinstance(answer, dict):
         answer = {key: value for key, value in answer.items() if key not in allowed}
     assert "nan" not in repr(answer)
+
+
+def test_a_region_without_echo_or_speckle_is_flagged() -> None:
+    silent, constant = picture(np.zeros(SHAPE)), picture(np.full(SHAPE, 3.0))
+    assert through("segment", silent).flags == ("too_little_data",)
+    assert through("fit_shapes", silent).flags == ("no_data",)
+    assert through("segment", constant).flags == ("no_speckle",)
+    assert through("fit_shapes", constant).fits == ()
+
+
+@pytest.mark.parametrize("door", DOORS)
+@pytest.mark.parametrize("shape", [(1, 1), (1, 90), (2, 3), (40, 1), (3, 40), (40, 3), (9, 9)])
+def test_regions_of_hardly_any_row_or_column_are_answered(door: str, shape: tuple[int, int]) -> None:
+    region = msgspec.structs.replace(
+        cone_region(), intensity=speckle()[: shape[0], : shape[1]], valid=np.ones(shape, bool)
+    )
+    answer = through(door, region)
+    assert door != "segment" or min(shape) >= 3 or answer.flags == ("too_little_data",)
 
 
 @pytest.mark.parametrize("offset", [1e3, 1e6, 1e12])

@@ -12,18 +12,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from auv_mcm.detect.integral import PaddedIntegral
 from auv_mcm.intake import Intake, PingBlock, SegmentEnd
 from auv_mcm.records import VALID, EchoTrace, NavSample, Ping, PoseTrack, Tile, Transfer
 from auv_mcm.settings.config import Config, WaterfallConfig
 from auv_mcm.waterfall.floor_speckle import floor_speckle
 from auv_mcm.waterfall.grid import AlongTrackGrid, SideImage, Swath
-from auv_mcm.waterfall.ground import ground_edges_m, make_traces, mean_between
-from auv_mcm.waterfall.radiometry import LOCAL_MEAN_REACH_M
 from auv_mcm.waterfall.regions import measure_regions
 from auv_mcm.waterfall.sample_law import sample_law
-from auv_mcm.waterfall.tiles import TileCutter
-from auv_mcm.waterfall.transfer import to_intensity
 from auv_mcm.waterfall.waterfall import Waterfall
 
 N_PINGS, N_SAMPLES, SPACING_M, STEP_M = 96, 400, 0.1, 0.15
@@ -99,14 +94,6 @@ def test_vanishing_and_huge_samples(scale: float) -> None:
             assert counters["quality.sample_not_finite_or_negative"] > 0
 
 
-@pytest.mark.parametrize("gain", [1e-6, 1e6])
-def test_gain_changes_neither_mask_nor_intensity(gain: float) -> None:
-    samples = amplitudes()
-    for one, other in zip(tiles_of(gain * samples)[0], tiles_of(samples)[0], strict=True):
-        np.testing.assert_array_equal(one.mask, other.mask)
-        np.testing.assert_allclose(one.intensity, other.intensity, rtol=1e-5)
-
-
 def test_logarithmic_samples_of_any_offset() -> None:
     """An offset in decibels is a gain; far beyond what single precision holds the numbers are bounded, not infinite."""
     decibels = 20.0 * np.log10(amplitudes())
@@ -128,34 +115,6 @@ def test_samples_of_one_bit(levels: int) -> None:
                 [measure_regions([side[first : first + 16] for side in samples]) for first in range(0, N_PINGS, 16)]
             )
         )
-
-
-# Sums: cancellation and overflow.
-
-
-def test_counts_over_twenty_thousand_pings_do_not_overflow() -> None:
-    """255 and 65535 over a strip of 20 000 rows: 32 bits hold neither sum."""
-    strip = np.full((20_000, 450), 255, dtype=np.uint8)
-    assert float(PaddedIntegral(strip, 20_000, 0).rows(-20_000, 0)[-1, -1]) == 255.0 * 19_999 * 450
-    intensity, valid = to_intensity(np.full(1000, 65535, dtype=np.uint16), Transfer("amplitude"))
-    np.testing.assert_allclose(intensity, 65535.0**2, rtol=1e-7)
-    traces = make_traces(
-        np.tile(intensity, (3, 1)), np.tile(valid, (3, 1)), np.zeros((3, 1000), dtype=np.bool_), 0.05, 0.1
-    )
-    np.testing.assert_allclose(mean_between(traces, np.array([[0.0, 50.0, 99.9]])).intensity, 65535.0**2, rtol=1e-7)
-
-
-# Geometry near the first return.
-
-
-@pytest.mark.parametrize("first_return_m", [0.05, 0.3, 5.0, 200.0])
-def test_ranges_next_to_the_first_return_do_not_cancel(first_return_m: float) -> None:
-    """y from r by the factored form, for pixels down to a tenth of a millimetre beside the nadir."""
-    for spacing_m in (1e-4, 1e-3, 0.06):
-        edges = ground_edges_m(np.array([first_return_m]), 20, spacing_m)[0]
-        assert (np.diff(edges) >= 0.0).all()
-        excess = spacing_m**2 * np.arange(21) ** 2 / (edges + first_return_m)  # r - h without a difference of squares
-        np.testing.assert_allclose(edges - first_return_m, excess, atol=4e-16 * first_return_m)
 
 
 @pytest.mark.parametrize("altitude_m", [0.3, 0.6, 1.2, 2.0, 20.0, 39.0])
@@ -266,30 +225,3 @@ def test_a_clock_that_steps_or_stands_loses_at_most_the_pings_it_repeats(step_s:
             assert (np.diff(placed.along_m) > 0.0).all()
             assert block.pings[0].time_s > previous_s
             previous_s = block.pings[-1].time_s
-
-
-# Tile borders.
-
-
-def test_core_pixels_are_the_same_wherever_the_tiles_start() -> None:
-    random = np.random.default_rng(0)
-    n_rows, spacing_m = 400, 0.3
-    mask = np.where(random.random((n_rows, 60)) < 0.9, np.uint8(VALID), np.uint8(0))
-    image = SideImage(np.where(mask, random.exponential(size=mask.shape), 0.0).astype(np.float32), mask)
-    along_m = spacing_m * np.arange(n_rows, dtype=np.float64)
-    rows = Swath(along_m, poses(n_rows), np.full(n_rows, 6.0), np.full(n_rows, 0.1), np.arange(n_rows), {"port": image})
-    config = WaterfallConfig(row_spacing_m=spacing_m, column_spacing_m=spacing_m, tile_rows=128)
-
-    def cores(origin_row: int) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-        cutter = TileCutter(config, LOCAL_MEAN_REACH_M + 1.0, origin_row)
-        tiles = cutter.add(0, rows) + cutter.close()
-        return (
-            np.concatenate([tile.intensity[tile.core_start : tile.core_stop] for tile in tiles]),
-            np.concatenate([tile.mask[tile.core_start : tile.core_stop] for tile in tiles]),
-        )
-
-    reference = cores(0)
-    for origin_row in range(1, 512, 37):
-        intensity, core_mask = cores(origin_row)
-        np.testing.assert_array_equal(core_mask, reference[1])
-        np.testing.assert_allclose(intensity, reference[0], rtol=1e-6)

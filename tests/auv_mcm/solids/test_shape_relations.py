@@ -335,20 +335,6 @@ def test_slices_from_one_edge_to_the_other_are_seen_and_no_others(shape: Shape) 
     assert offset[seen[[0, -1]]] == pytest.approx([-half, half], abs=1.01 * reach / 1000.0)
 
 
-def test_missing_navigation_gives_nan_and_no_warning() -> None:
-    shapes: list[Shape] = [
-        Sphere(radius_m=0.3),
-        Cylinder(radius_m=0.3, length_m=1.0, azimuth_rad=0.3),
-        TruncatedCone(base_radius_m=0.5, top_radius_m=0.2, height_m=0.4),
-        Box(length_m=1.0, width_m=1.0, height_m=0.4, burial_m=0.1),
-        Wedge(length_m=1.0, width_m=1.0, height_m=0.4),
-    ]
-    for shape in shapes:
-        view = view_shape(shape, [np.nan, 0.0, 0.0, 0.0], [10.0, np.nan, 10.0, 10.0], [5.0, 5.0, np.nan, 5.0])
-        for values in view:
-            assert np.isnan(values).tolist() == [True, True, True, False]
-
-
 def test_poses_that_side_scan_cannot_have_are_refused() -> None:
     shape = Sphere(radius_m=0.5)
     with pytest.raises(ValueError, match="altitude_m must be positive, got 0: leave out pings"):
