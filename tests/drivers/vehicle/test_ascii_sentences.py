@@ -24,7 +24,7 @@ from drivers.vehicle import recon_sentences as recon
 from drivers.vehicle.ascii_fields import CLASSES, Table, plain_text
 from drivers.vehicle.dialect import ContactReport
 from sim_replay.fakes.vehicles.text_controller import report_from_fields
-from tests.drivers.vehicle.ascii_loop import REPORT
+from tests.drivers.vehicle.vehicle_loop import REPORT
 
 BLUEFIN, IVER, RECON = (
     bluefin.table_of(BluefinSettings()),

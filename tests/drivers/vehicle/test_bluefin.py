@@ -12,7 +12,7 @@ from auv_mcm.settings.vehicle_settings import BluefinSettings
 from drivers.navigation.nmea0183 import sentence
 from drivers.vehicle.dialect import Acknowledged, Granted, Rejected, VehicleEvent, Withheld
 from drivers.vehicle.talkers.bluefin_talker import ATTEMPTS, RESEND_S
-from tests.drivers.vehicle.ascii_loop import REPORT, STEER, Loop, in_control, stamp_at
+from tests.drivers.vehicle.vehicle_loop import REPORT, STEER, Loop, in_control, stamp_at
 from tests.sim_replay.conversation import Conversation
 
 

@@ -7,7 +7,7 @@ import pytest
 from auv_mcm.settings.vehicle_settings import IverSettings
 from drivers.navigation.nmea0183 import sentence
 from drivers.vehicle.dialect import Capability, Granted, ReportedState, Withheld
-from tests.drivers.vehicle.ascii_loop import REPORT, STEER, in_control, stamp_at
+from tests.drivers.vehicle.vehicle_loop import REPORT, STEER, in_control, stamp_at
 from tests.sim_replay.conversation import Conversation
 
 

@@ -8,7 +8,7 @@ from msgspec import structs
 from auv_mcm.settings.vehicle_settings import ReconSettings
 from drivers.vehicle.dialect import Capability, Granted, ReportedState, Withheld
 from drivers.vehicle.recon_sentences import frame
-from tests.drivers.vehicle.ascii_loop import REPORT, STEER, Loop, in_control, stamp_at
+from tests.drivers.vehicle.vehicle_loop import REPORT, STEER, Loop, in_control, stamp_at
 from tests.sim_replay.conversation import Conversation
 
 

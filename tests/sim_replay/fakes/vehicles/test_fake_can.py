@@ -29,8 +29,6 @@ from drivers.vehicle.dialect import (
     Acknowledged,
     GoTo,
     Granted,
-    PayloadHealth,
-    PlaceReached,
     ReportedState,
     Steer,
     VehicleEvent,
@@ -114,68 +112,6 @@ class Loop:
         assert self.vehicle.in_control
 
 
-def test_control_is_asked_for_used_and_given_back() -> None:
-    loop = Loop()
-    assert loop.run(5.0) == []
-    assert not loop.vehicle.in_control
-    loop.take_control()
-    assert loop.run(20.0, PLACE) == []
-    assert loop.flown() == PLACE
-    loop.arrived = True
-    assert loop.run(1.0, PLACE) == [PlaceReached()]
-    loop.arrived = False
-    assert loop.run(1.0, COURSE) == []
-    assert isinstance(loop.vehicle.command, Steer)
-    loop.dialect.release("done", loop.now_s)
-    assert loop.run(2 * STEP_S) == []
-    assert not loop.vehicle.in_control
-    assert loop.vehicle.command is None
-    assert loop.vehicle.counters["vehicle.commands_expired"] == 0
-    assert loop.vehicle.counters["vehicle.nonsense"] == 0
-
-
-def test_an_unwilling_vehicle_refuses() -> None:
-    loop = Loop()
-    loop.run(0.5)
-    loop.vehicle.willing = False
-    loop.dialect.request(loop.now_s)
-    assert loop.run(1.0) == [Withheld("not willing")]
-    loop.vehicle.willing = True
-    assert loop.run(3.0) == [], "that request is over"
-    loop.dialect.request(loop.now_s)
-    assert [type(event) for event in loop.run(1.0)] == [Granted]
-
-
-def test_the_vehicle_takes_control_back_and_keeps_it() -> None:
-    loop = Loop()
-    loop.take_control()
-    loop.run(2.0, PLACE)
-    loop.vehicle.revoke(loop.now_s)
-    assert loop.run(5.0, PLACE) == [Withheld("taken back")]
-    assert not loop.vehicle.in_control
-
-
-def test_a_vehicle_that_restarts_is_asked_anew() -> None:
-    loop = Loop()
-    loop.take_control()
-    loop.run(30.0, PLACE)
-    loop.vehicle.power_up(loop.now_s)
-    [event] = loop.run(3.0, PLACE)
-    assert isinstance(event, Withheld)
-    assert not loop.vehicle.in_control
-    loop.take_control()
-
-
-def test_silence_of_the_payload_ends_control() -> None:
-    loop = Loop()
-    loop.take_control()
-    loop.run(2.0, PLACE)
-    loop.is_payload_alive = False
-    loop.run(PAYLOAD_SILENT_S + 0.2)
-    assert not loop.vehicle.in_control
-    assert loop.vehicle.counters["vehicle.commands_expired"] == 1
-
-
 @pytest.mark.parametrize(("command", "limit_s"), [(PLACE, COMMAND_VALID_S), (None, FIRST_COMMAND_S)])
 def test_control_without_commands_ends_in_time(command: GoTo | None, limit_s: float) -> None:
     loop = Loop()
@@ -241,34 +177,6 @@ def test_a_command_that_leaves_something_open_is_refused_and_ends_control() -> N
     assert loop.run(1.0, PLACE._replace(speed_mps=math.nan)) == [Withheld("command refused")]
     assert loop.vehicle.counters["vehicle.commands_refused"] == 1
     assert loop.vehicle.command is None
-
-
-def test_reports_arrive_within_a_second_and_are_answered() -> None:
-    loop = Loop()
-    loop.run(1.0)
-    loop.dialect.report(REPORT, 7, loop.now_s)
-    assert loop.run(0.3) == [Acknowledged(7)]
-    [report] = loop.vehicle.take_reports()
-    assert report.number == 1
-    assert report.belief == pytest.approx(REPORT.belief)
-    assert loop.vehicle.take_reports() == []
-
-
-def test_health_is_heard() -> None:
-    loop = Loop()
-    loop.run(0.5)
-    loop.vehicle.take_health()
-    loop.dialect.report_health(PayloadHealth("fault", "sonar silent"), loop.now_s)
-    loop.run(0.5)
-    assert loop.vehicle.take_health() == ["fault", "fault: sonar silent"]
-
-
-def test_the_pose_is_reported() -> None:
-    loop = Loop()
-    loop.run(STEP_S)
-    [state] = [event for event in loop.events if isinstance(event, ReportedState)]
-    wanted = (54.0, 10.0, -0.5 % (2.0 * math.pi), 0.05, -0.1, 7.0, 5.0, 1.5)
-    assert state[1:] == pytest.approx(wanted, abs=1e-4)
 
 
 @pytest.mark.parametrize("seed", range(5))

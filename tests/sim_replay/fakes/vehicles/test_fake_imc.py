@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from auv_mcm.clock import Stamp
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import NavSample
 from auv_mcm.settings.vehicle_settings import ImcSettings
@@ -18,20 +17,15 @@ from drivers.vehicle import imc_messages as imc
 from drivers.vehicle.dialect import (
     Acknowledged,
     GoTo,
-    Granted,
     PayloadHealth,
-    PlaceReached,
-    ReportedState,
-    VehicleEvent,
     Vertical,
-    Withheld,
 )
 from drivers.vehicle.imc_codec import LAYOUTS, decode
 from drivers.vehicle.imc_contact import imc_contact_of
 from drivers.vehicle.imc_messages import ImcMessage, OpMode, PlanOp, PlanState, PlanType, Proximity, RefFlag, RefState
 from drivers.vehicle.imc_wire import ImcGrammar, packed
-from sim_replay.fakes.vehicles.fake_vehicle import FakeController
 from sim_replay.fakes.vehicles.imc import ADDRESS, PLACE_RADIUS_M, PLAN_ID, FakeImc
+from tests.drivers.vehicle.vehicle_loop import Loop
 from tests.make.records import nav_of, report_of
 from tests.sim_replay.conversation import Conversation
 
@@ -41,175 +35,37 @@ FRAME = LocalFrame(latitude_deg=41.185, longitude_deg=-8.706)
 SPEED_MPS = 20.0
 
 
-def goal_at(east_m: float, north_m: float) -> GoTo:
-    latitude_deg, longitude_deg, _ = (float(value) for value in FRAME.to_geodetic((east_m, north_m, 0.0)))
-    return GoTo(latitude_deg, longitude_deg, Vertical("altitude", 5.0), 1.5, 3.0)
-
-
 def pose_at(east_m: float, north_m: float, now_s: float) -> NavSample:
-    goal = goal_at(east_m, north_m)
-    place = {"latitude_deg": goal.latitude_deg, "longitude_deg": goal.longitude_deg, "depth_m": 15.0}
+    latitude_deg, longitude_deg, _ = (float(value) for value in FRAME.to_geodetic((east_m, north_m, 0.0)))
+    place = {"latitude_deg": latitude_deg, "longitude_deg": longitude_deg, "depth_m": 15.0}
     return nav_of(UTC_S + now_s, **place, heading_rad=1.0, pitch_rad=0.01, roll_rad=-0.02)
 
 
-class Sea:
-    """Connect a fake that goes straight to its commands, and the driver on the other end of its wire."""
-
-    def __init__(self, settings: ImcSettings | None = None) -> None:
-        self.fake = FakeImc()
-        self.dialect = Conversation(settings or ImcSettings(acknowledges=True))
-        self.east_m = self.north_m = 0.0
-        self.now_s = 50.0
-        self.events: list[VehicleEvent] = []
-        self.goal: GoTo | None = None
-        self.fake.connected(self.now_s)
-        self.dialect.connected(self.now_s)
-
-    def run(self, for_s: float) -> list[VehicleEvent]:
-        """Other events than states."""
-        first = len(self.events)
-        for _ in range(round(10.0 * for_s)):
-            self.now_s += 0.1
-            for item in self.fake.tick(pose_at(self.east_m, self.north_m, self.now_s), self._move(), self.now_s):
-                self._hear(item)
-            if self.goal is not None and round(10.0 * self.now_s) % 5 == 0:
-                self.dialect.command(self.goal, self.now_s)
-            for outgoing in self.dialect.take_outgoing(self.now_s):
-                for item in self.fake.heard(outgoing, self.now_s):
-                    self._hear(item)
-        return [event for event in self.events[first:] if not isinstance(event, ReportedState)]
-
-    def _move(self) -> bool:
-        command = self.fake.command
-        if command is None:
-            return False
-        assert isinstance(command, GoTo)
-        east_m, north_m, _ = FRAME.to_enu(command.latitude_deg, command.longitude_deg, 0.0).tolist()
-        distance_m = math.hypot(east_m - self.east_m, north_m - self.north_m)
-        share = min(0.1 * SPEED_MPS / max(distance_m, 1e-9), 1.0)
-        self.east_m += share * (east_m - self.east_m)
-        self.north_m += share * (north_m - self.north_m)
-        return distance_m < PLACE_RADIUS_M
-
-    def _hear(self, item: bytes) -> None:
-        self.events += self.dialect.hear(item, Stamp(round(1e9 * self.now_s), round(1e9 * (UTC_S + self.now_s))))
-
-
-def test_it_is_a_fake_controller() -> None:
-    controller: FakeController[bytes] = FakeImc()
-    assert controller.willing
-
-
-def test_control_is_asked_for_used_and_given_back() -> None:
-    sea = Sea()
-    assert sea.run(2.0) == []
-    assert sea.fake.command is None
-    sea.dialect.request(sea.now_s)
-    assert [type(event) for event in sea.run(0.5)] == [Granted]
-    assert sea.fake.in_control
-    assert sea.fake.command is None, "nothing was commanded yet"
-    sea.goal = goal_at(100.0, -40.0)
-    assert sea.run(10.0) == [PlaceReached()]
-    reported = sea.fake.command
-    assert isinstance(reported, GoTo)
-    assert reported[:2] == pytest.approx(sea.goal[:2], abs=1e-12)
-    assert reported.vertical == sea.goal.vertical
-    assert math.hypot(sea.east_m - 100.0, sea.north_m + 40.0) < sea.goal.radius_m
-    sea.goal = goal_at(0.0, 0.0)
-    assert sea.run(10.0) == [PlaceReached()]
-    sea.goal = None
-    sea.dialect.release("done", sea.now_s)
-    assert sea.run(5.0) == []
-    assert not sea.fake.in_control
-    assert sea.fake.command is None
-    counters = sea.fake.counters
-    assert counters["vehicle.commands_accepted"] > 20
-    assert (
-        counters["vehicle.commands_refused"]
-        == counters["vehicle.commands_expired"]
-        == counters["vehicle.nonsense"]
-        == 0
-    )
-
-
-def test_where_it_is_arrives_at_the_driver() -> None:
-    sea = Sea()
-    sea.run(0.2)
-    sea.east_m, sea.north_m = 500.0, -800.0
-    sea.run(0.1)
-    state = sea.events[-1]
-    assert isinstance(state, ReportedState)
-    pose = pose_at(500.0, -800.0, sea.now_s)
-    assert state.latitude_deg == pytest.approx(pose.latitude_deg, abs=1e-8)
-    assert state.longitude_deg == pytest.approx(pose.longitude_deg, abs=1e-8)
-    for name in ("heading_rad", "pitch_rad", "roll_rad", "depth_m", "altitude_m", "speed_mps"):
-        assert getattr(state, name) == pytest.approx(getattr(pose, name), abs=1e-6), name
-
-
-def test_who_is_not_willing_refuses() -> None:
-    sea = Sea()
-    sea.fake.willing = False
-    sea.dialect.request(sea.now_s)
-    (event,) = sea.run(1.0)
-    assert isinstance(event, Withheld)
-    assert "may not command" in event.reason
-    assert not sea.fake.in_control
-
-
-@pytest.mark.parametrize("how", ["revoke", "power_up"])
-def test_what_was_granted_is_taken_back(how: str) -> None:
-    sea = Sea()
-    sea.dialect.request(sea.now_s)
-    sea.goal = goal_at(500.0, 0.0)
-    sea.run(5.0)
-    assert sea.fake.command is not None
-    getattr(sea.fake, how)(sea.now_s)
-    assert not sea.fake.in_control
-    assert sea.fake.command is None
-    assert [type(event) for event in sea.run(2.0)] == [Withheld]
-    sea.goal = None
-    sea.run(5.0)
-    sea.dialect.request(sea.now_s)
-    assert [type(event) for event in sea.run(1.0)] == [Granted]
-
-
-def test_silence_ends_control() -> None:
-    sea = Sea()
-    sea.dialect.request(sea.now_s)
-    sea.goal = goal_at(500.0, 0.0)
-    sea.run(2.0)
-    sea.goal = None
-    events = sea.run(6.0)
-    assert events == [Withheld("the vehicle received no reference in time")]
-    assert not sea.fake.in_control
-    assert sea.fake.counters["vehicle.commands_expired"] == 1
-
-
 def test_a_plan_left_from_an_earlier_run_is_stopped() -> None:
-    sea = Sea()
-    sea.dialect.request(sea.now_s)
-    sea.run(1.0)
-    sea.dialect = Conversation(ImcSettings())
-    sea.dialect.connected(sea.now_s)
-    sea.run(2.0)
-    assert not sea.fake.in_control
-    assert sea.fake.counters["vehicle.commands_expired"] == 0
+    loop = Loop("imc")
+    loop.dialect.request(loop.now_s)
+    loop.run(1.0)
+    loop.dialect = Conversation(ImcSettings())
+    loop.dialect.connected(loop.now_s)
+    loop.run(2.0)
+    assert not loop.vehicle.in_control
+    assert loop.vehicle.counters["vehicle.commands_expired"] == 0
 
 
 def test_contacts_and_health_arrive_once() -> None:
-    sea = Sea()
-    sea.dialect.report_health(PayloadHealth("fault", "port bow is silent"), sea.now_s)
-    sea.dialect.report(report_of(), 4, sea.now_s)
-    assert sea.run(1.0) == [Acknowledged(4)]
-    assert sea.fake.take_health() == ["fault: port bow is silent"]
-    (report,) = sea.fake.take_reports()
+    loop = Loop("imc")
+    loop.dialect.report_health(PayloadHealth("fault", "port bow is silent"), loop.now_s)
+    loop.dialect.report(report_of(), 4, loop.now_s)
+    assert loop.run(1.0).of(Acknowledged) == [Acknowledged(4)]
+    assert loop.vehicle.take_health() == ["fault: port bow is silent"]
+    (report,) = loop.vehicle.take_reports()
     assert (report.session, report.number, report.revision, report.classification) == (77, 3, 1, "sphere")
     assert report.belief["sphere"] == 0.75
-    sea.dialect.report(report_of(), 5, sea.now_s)
-    sea.dialect.report(report_of(revision=2), 6, sea.now_s)
-    assert sea.run(1.0) == [Acknowledged(5), Acknowledged(6)]
-    assert [report.revision for report in sea.fake.take_reports()] == [2]
-    counters = sea.fake.counters
+    loop.dialect.report(report_of(), 5, loop.now_s)
+    loop.dialect.report(report_of(revision=2), 6, loop.now_s)
+    assert loop.run(1.0).of(Acknowledged)[1:] == [Acknowledged(5), Acknowledged(6)]
+    assert [report.revision for report in loop.vehicle.take_reports()] == [2]
+    counters = loop.vehicle.counters
     assert (counters["vehicle.reports"], counters["vehicle.reports_repeated"], counters["vehicle.targets"]) == (2, 1, 3)
 
 

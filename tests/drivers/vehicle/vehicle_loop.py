@@ -1,4 +1,4 @@
-"""A dialect of sentences and its fake vehicle at the two ends of a wire, and what a lossy wire does to it."""
+"""A dialect and its fake vehicle at the two ends of a wire, and what a lossy wire does to sentences."""
 
 from __future__ import annotations
 
@@ -10,9 +10,20 @@ from hypothesis import strategies as st
 
 from auv_mcm.clock import Stamp
 from auv_mcm.records import NavSample
-from auv_mcm.settings.vehicle_settings import BluefinSettings, IverSettings, ReconSettings
-from drivers.vehicle.dialect import ContactReport, Granted, PayloadHealth, Steer, VehicleEvent, Vertical, Withheld
+from auv_mcm.settings.vehicle_settings import BluefinSettings, CanSettings, ImcSettings, IverSettings, ReconSettings
+from drivers.vehicle.dialect import (
+    ContactReport,
+    GoTo,
+    Granted,
+    PayloadHealth,
+    Steer,
+    VehicleEvent,
+    Vertical,
+    Withheld,
+)
 from sim_replay.fakes.vehicles.bluefin import FakeBluefin
+from sim_replay.fakes.vehicles.can import FakeCan
+from sim_replay.fakes.vehicles.imc import FakeImc
 from sim_replay.fakes.vehicles.iver import FakeIver
 from sim_replay.fakes.vehicles.recon import FakeRecon
 from sim_replay.fakes.vehicles.text_controller import TextController
@@ -20,10 +31,15 @@ from tests.sim_replay.conversation import Conversation
 
 UTC_S = 1_700_000_000.0
 STEP_S = 0.1
-PAIRS: dict[str, tuple[Callable[[], Conversation], Callable[[], TextController]]] = {
+SPOKEN: dict[str, tuple[Callable[[], Conversation], Callable[[], TextController]]] = {
     "bluefin": (lambda: Conversation(BluefinSettings()), FakeBluefin),
     "iver": (lambda: Conversation(IverSettings()), FakeIver),
     "recon": (lambda: Conversation(ReconSettings()), FakeRecon),
+}
+PAIRS: dict[str, tuple[Callable[[], Conversation], Callable[[], Any]]] = {
+    **SPOKEN,
+    "can": (lambda: Conversation(CanSettings()), FakeCan),
+    "imc": (lambda: Conversation(ImcSettings(acknowledges=True)), FakeImc),
 }
 COMMANDS = (b"$BPRMB", b"$OMS,", b"#C,")
 CALLS = ("connected", "disconnected", "request", "request", "command", "command", "release", "report", "report_health")
@@ -39,6 +55,7 @@ POSE = NavSample(
     altitude_m=6.5,
     speed_mps=1.6,
 )
+PLACE = GoTo(POSE.latitude_deg + 0.002, POSE.longitude_deg, Vertical("depth", 7.5), 1.5, 3.0)
 REPORT = ContactReport(
     session=1_700_000_123,
     number=17,
@@ -68,15 +85,16 @@ def stamp_at(now_s: float) -> Stamp:
 class Loop:
     """Both ends, ten times a second. lost: whether this message to the vehicle, or from it, does not arrive."""
 
-    def __init__(self, name: str, lost: Callable[[bytes], bool] = lambda message: False) -> None:
+    def __init__(self, name: str, lost: Callable[[Any], bool] = lambda message: False) -> None:
         dialect, vehicle = PAIRS[name]
         self.dialect, self.vehicle = dialect(), vehicle()
         self.lost = lost
         self.now_s = 100.0
         self.pose = POSE
         self.events: list[VehicleEvent] = []
-        self.sent: list[tuple[float, bytes]] = []
-        self.steer: Steer | None = None
+        self.sent: list[tuple[float, Any]] = []
+        self.steer: GoTo | Steer | None = None
+        self.arrived = False
         self.dialect.connected(self.now_s)
         self.vehicle.connected(self.now_s)
 
@@ -87,7 +105,7 @@ class Loop:
         )
         if self.steer is not None and self.granted and round(self.now_s / STEP_S) % 10 == 0:
             self.dialect.command(self.steer, self.now_s)
-        self._hear(self.vehicle.tick(sample, False, self.now_s))
+        self._hear(self.vehicle.tick(sample, self.arrived, self.now_s))
         self.flush()
 
     def flush(self) -> None:
@@ -98,7 +116,7 @@ class Loop:
                 if not self.lost(line):
                     self._hear(self.vehicle.heard(line, self.now_s))
 
-    def _hear(self, lines: list[bytes]) -> None:
+    def _hear(self, lines: list[Any]) -> None:
         for line in lines:
             if not self.lost(line):
                 self.events += self.dialect.hear(line, stamp_at(self.now_s))
@@ -116,15 +134,15 @@ class Loop:
     def of(self, kind: type[Any]) -> list[Any]:
         return [event for event in self.events if isinstance(event, kind)]
 
-    def commands(self) -> list[tuple[float, bytes]]:
-        return [(now_s, line) for now_s, line in self.sent if line.startswith(COMMANDS)]
+    def commands(self) -> list[tuple[float, Any]]:
+        return [(now_s, line) for now_s, line in self.sent if any(self.dialect.commands_in([line]))]
 
 
 def in_control(name: str) -> Loop:
-    """A loop in which the payload commands."""
+    """A loop in which the payload commands: a course, or a place where the vehicle takes no courses."""
     loop = Loop(name).run(2.0)
     loop.dialect.request(loop.now_s)
-    loop.steer = STEER
+    loop.steer = PLACE if name == "imc" else STEER
     loop.run(3.0)
     assert loop.granted
     assert loop.vehicle.in_control
