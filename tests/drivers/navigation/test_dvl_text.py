@@ -14,10 +14,8 @@ from auv_mcm.records import NAN
 from drivers.framing import Framer
 from drivers.navigation import dvl_pd6 as pd6
 from drivers.navigation import dvl_water_linked as wl
-from drivers.navigation.nmea0183 import NmeaGrammar
 from drivers.navigation.water_linked_unit import WaterLinkedUnit
-from tests.drivers.navigation.nav_damage import T0, at, chunks_of, fed, is_subsequence, pieces
-from tests.drivers.navigation.test_nmea0183 import STREAM as SENTENCES
+from tests.drivers.navigation.nav_damage import T0, at, fed
 
 VELOCITY = st.floats(-19.9, 19.9)
 ANGLE = st.floats(0.0, 6.28)
@@ -189,47 +187,3 @@ def test_wru_is_known_but_gives_no_navigation() -> None:
     unit = WaterLinkedUnit("dvl")
     assert fed(unit, [WRU]) == []
     assert unit.counters["water_linked.ignored"] == 1
-
-
-CASES: list[Any] = [
-    pytest.param(pd6.LineGrammar(), PD6_LINES, b":\r\n,AV+", id="pd6"),
-    pytest.param(wl.TextGrammar(), WL_LINES, b"wrz,*5;\r\n", id="water_linked"),
-    pytest.param(NmeaGrammar(), SENTENCES, b"$!*\r\n,\xff", id="nmea0183"),
-]
-
-
-@pytest.mark.parametrize(("grammar", "lines", "noise"), CASES)
-@given(data=st.data())
-def test_every_intact_line_is_read_whatever_is_around_it_and_chunks_make_no_difference(
-    grammar: Any, lines: list[bytes], noise: bytes, data: st.DataObject
-) -> None:
-    parts = data.draw(pieces(lines, noise))
-    stream = b"".join(piece for piece, _ in parts)
-    whole_lines = (grammar.read(bytearray(piece), 0) for piece, intact in parts if intact)
-    wanted = [line[0] for line in whole_lines if isinstance(line, tuple)]
-
-    def read(chunks: list[bytes]) -> list[Any]:
-        framer: Framer[Any] = Framer(grammar)
-        found = []
-        for chunk in chunks:
-            found += framer.feed(chunk)
-            assert framer.n_fed - framer.held_from <= grammar.max_message_bytes
-        return [message for message, _, _ in found + framer.finish()]
-
-    whole = read([stream])
-    assert is_subsequence(wanted, whole)
-    assert read(data.draw(chunks_of(stream))) == whole
-    assert read([stream[i : i + 1] for i in range(len(stream))]) == whole
-
-
-@pytest.mark.parametrize("unit_type", [pd6.Pd6Unit, WaterLinkedUnit])
-@given(
-    chunks=st.lists(
-        st.one_of(st.binary(max_size=60), st.sampled_from([*PD6_LINES, *WL_LINES, b":", b"w", b"wrz,", b":BI,"])),
-        max_size=30,
-    )
-)
-def test_no_bytes_raise(unit_type: type[Any], chunks: list[bytes]) -> None:
-    unit = unit_type("dvl")
-    fed(unit, chunks)
-    assert len(fed(unit, [b"\r\n" + (GROUP if unit_type is pd6.Pd6Unit else WRZ)])) == 1

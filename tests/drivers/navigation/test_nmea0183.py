@@ -52,7 +52,7 @@ from drivers.navigation.sentences import (
     body_of,
     parse,
 )
-from tests.drivers.navigation.nav_damage import T0, at, chunks_of, fed, pieces
+from tests.drivers.navigation.nav_damage import T0, at, fed
 
 
 def number(low: float, high: float) -> st.SearchStrategy[float]:
@@ -105,17 +105,6 @@ PHINS = (
     "PIXSE,STDSPD,0.020,0.030,0.010",
     "PIXSE,TIME__,003356.016693",
 )
-STREAM = [
-    sentence(body)
-    for body in (
-        "GPHDT,10.0,T",
-        "GPHDT,20.0,T",
-        "SDDPT,12.5,0.5",
-        "PRDID,1.0,2.0,30.0",
-        "GPGLL,,,,,V,N",
-        "GPXTE,A,A,,R,N,D",
-    )
-]
 
 
 def closed(body: bytes) -> bytes:
@@ -385,33 +374,6 @@ def test_a_burst_whose_time_was_lost_is_still_delivered_without_one() -> None:
 def test_longitudes_beyond_180_are_west() -> None:
     fix = fed(NmeaUnit("phins"), [sentence("PIXSE,POSITI,53.1,351.0,-20.0")])[0]
     assert (fix.longitude_deg, fix.depth_m) == (-9.0, 20.0)
-
-
-@given(data=st.data())
-def test_chunks_make_no_difference(data: st.DataObject) -> None:
-    stream = b"".join(piece for piece, _ in data.draw(pieces(STREAM, b"$!*\r\n,\xff")))
-    whole = [fields_of(fix) for fix in fed(NmeaUnit("n"), [stream])]
-    assert [fields_of(fix) for fix in fed(NmeaUnit("n"), data.draw(chunks_of(stream)))] == whole
-    assert [fields_of(fix) for fix in fed(NmeaUnit("n"), [stream[i : i + 1] for i in range(len(stream))])] == whole
-
-
-@given(
-    st.lists(
-        st.one_of(
-            st.binary(max_size=60), st.sampled_from([b"$", b"!", b"$GPGGA,", b"*", b"*4"]), st.sampled_from(STREAM)
-        ),
-        max_size=40,
-    )
-)
-def test_no_bytes_raise_or_stay(chunks: list[bytes]) -> None:
-    framer = Framer(NmeaGrammar())
-    unit = NmeaUnit("n")
-    for chunk in chunks:
-        framer.feed(chunk)
-        unit.feed(chunk, T0)
-        assert framer.n_fed - framer.held_from <= MAX_SENTENCE_BYTES
-    unit.finish()
-    assert len(unit.feed(b"\r\n" + sentence("SDDPT,12.5,0.5"), T0)) == 1
 
 
 @given(st.sampled_from(sorted(SENTENCES)), st.lists(st.text("0123456789.-+,AVNSEWTMKfF ", max_size=12), max_size=20))
