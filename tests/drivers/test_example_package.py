@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 import math
-import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,33 +15,18 @@ from numpy.typing import NDArray
 from auv_mcm.cli import main
 from auv_mcm.clock import Stamp
 from auv_mcm.records import EchoTrace, NavSample, Ping, SourceEvent
-from auv_mcm.settings.config import Config, SonarConfig, parse_config
+from auv_mcm.settings.config import SonarConfig, parse_config
 from auv_mcm.shell.recovery import RECORDING
-from auv_mcm.shell.service import Service
 from drivers.navigation.nav_protocols import text_decoder
-from drivers.port_source import PortSource
 from drivers.sonar.sonar_decoder import SonarFrame
 from drivers.sonar.sonars import sonar_named
-from sim_replay.fakes.port import FakePort
-from sim_replay.simulator.mission import Mission
-from sim_replay.simulator.scene import (
-    EXACT,
-    STEADY,
-    Lawnmower,
-    SampleRecorder,
-    Scene,
-    SceneObject,
-    Seabed,
-    Sonar,
-    Track,
-    World,
-)
-from tests.manual_clock import ManualClock
+from sim_replay.simulator.scene import SampleRecorder, SceneObject, Sonar
+from tests.auv_mcm import short_missions
+from tests.drivers.port_devices import Devices, Message, served
 from tests.plugin_packages import importable, install_example
 
 RANGE_M: Final = 20.0
 START_UTC_S: Final = 1.7e9
-SPEED_MPS: Final = 1.8
 QUEUE_PINGS: Final = 4096  # more than four times the pings of the mission: a computer with other work sheds none
 CONFIG: Final = """
 service: {{source: ports, output_directory: "{folder}/out", queue_pings: {queue_pings}, stop_within_s: 600}}
@@ -66,22 +49,14 @@ def site(tmp_path: Path) -> Iterator[Path]:
 @pytest.fixture(scope="module")
 def flown() -> list[SourceEvent]:
     """Fly past a cylinder and a sphere on bare sand."""
-    sand = Seabed(type="sand", relief_rms_m=0.0, texture_shape=0.0, stones_per_ha=0.0)
-    recorder = SampleRecorder(samples="amplitude_uint16", seabed_counts=300.0)
-    scene = Scene(
-        seed=3,
-        world=World(depth_m=25.0, seabeds=(sand,), relief_rms_m=0.0),
-        objects=(
-            SceneObject(
-                kind="cylinder", leg=0, along_m=12.0, across_m=11.0, azimuth_deg=20.0, length_m=2.0, width_m=0.53
-            ),
-            SceneObject(kind="sphere", leg=0, along_m=24.0, across_m=-12.0, width_m=0.8),
-        ),
-        sonar=Sonar(range_m=RANGE_M, n_samples=400, ping_rate_hz=12.0, recorder=recorder),
-        track=Track(plan=Lawnmower(n_legs=1, leg_m=36.0), altitude_m=4.0, speed_mps=SPEED_MPS, motion=STEADY),
-        navigation_error=EXACT,
+    objects = (
+        SceneObject(kind="cylinder", leg=0, along_m=12.0, across_m=11.0, azimuth_deg=20.0, length_m=2.0, width_m=0.53),
+        SceneObject(kind="sphere", leg=0, along_m=24.0, across_m=-12.0, width_m=0.8),
     )
-    return list(Mission(scene).events())
+    recorder = SampleRecorder(samples="amplitude_uint16", seabed_counts=300.0)
+    sonar = Sonar(range_m=RANGE_M, n_samples=400, ping_rate_hz=12.0, recorder=recorder)
+    scene = short_missions.one_leg(objects, sonar, length_m=36.0, altitude_m=4.0)
+    return list(short_missions.flown(scene))
 
 
 def amplitudes(trace: EchoTrace | None) -> NDArray[np.uint16]:
@@ -166,56 +141,12 @@ def test_its_navigation_decoder_finds_every_whole_line_however_the_bytes_come() 
         assert decoder.counters == {"acme_ins.messages": 3, "acme_ins.refused.damaged": 2}
 
 
-class Devices(threading.Thread):
-    """Run a sonar, an inertial unit and a vehicle at ports in a folder.
-
-    `clock` is the mission's: it goes on when a message has been read, so that the computer's load changes no stamp.
-    """
-
-    def __init__(self, folder: Path, messages: list[tuple[float, str, bytes]]) -> None:
-        super().__init__(name="devices", daemon=True)
-        self.clock = ManualClock(START_UTC_S)
-        self.read: Callable[[str], int] = lambda _: 0  # how many bytes of a port the service has read
-        self.plugged, self.begin, self.done, self.end = (threading.Event() for _ in range(4))
-        self.received: dict[str, bytes] = {"sonar": b"", "ins": b"", "vehicle": b""}
-        self._folder, self._messages = folder, messages
-
-    def run(self) -> None:
-        asyncio.run(self._run())
-
-    def _hear(self, name: str, data: bytes) -> None:
-        self.received[name] += data
-
-    async def _run(self) -> None:
-        ports = {
-            name: FakePort(self._folder / name, baud, on_bytes=lambda data, name=name: self._hear(name, data))  # type: ignore[misc]
-            for name, baud in (("sonar", 4_000_000), ("ins", 921_600), ("vehicle", 921_600))
-        }
-        for port in ports.values():
-            port.plug()
-        self.plugged.set()
-        while not self.begin.is_set():
-            await asyncio.sleep(0.01)
-        sent = dict.fromkeys(ports, 0)
-        for due_s, at, data in self._messages:
-            self.clock.advance_to(START_UTC_S + due_s)
-            await ports[at].send(data)
-            sent[at] += len(data)
-            while self.read(at) < sent[at] and not self.end.is_set():
-                await asyncio.sleep(0.001)
-        self.done.set()
-        while not self.end.is_set():
-            await asyncio.sleep(0.01)
-        for port in ports.values():
-            port.unplug()
-
-
-def messages_of(events: list[SourceEvent]) -> list[tuple[float, str, bytes]]:
+def messages_of(events: list[SourceEvent]) -> list[Message]:
     """List when each message is sent, s since the beginning, at which port."""
     from acme_survey.navigation import line_of
 
     start_s = next(event.time_s for event in events if isinstance(event, Ping))
-    messages: list[tuple[float, str, bytes]] = []
+    messages: list[Message] = []
     for event in events:
         if isinstance(event, NavSample):
             time_s = event.time_s - start_s
@@ -232,32 +163,11 @@ def messages_of(events: list[SourceEvent]) -> list[tuple[float, str, bytes]]:
     return sorted(messages, key=lambda message: message[0])
 
 
-async def served(config: Config, devices: Devices) -> Path:
-    source = PortSource(config, devices.clock)
-    devices.read = lambda name: {port.name: port.received_bytes for port in source.health().ports}[name]
-    service = Service(config, source, console=lambda line: None)
-    serving = asyncio.ensure_future(service.run())
-    try:
-        while not (all(port.state == "up" for port in source.health().ports) or serving.done()):
-            await asyncio.sleep(0.01)
-        devices.begin.set()
-        while not (devices.done.is_set() or serving.done()):
-            await asyncio.sleep(0.05)
-    finally:
-        service.stop()
-    try:
-        return await serving
-    finally:
-        devices.end.set()
-
-
 def test_its_sonar_inertial_unit_and_vehicle_are_served_live(flown: list[SourceEvent], tmp_path: Path) -> None:
     config = parse_config(CONFIG.format(folder=tmp_path, queue_pings=QUEUE_PINGS), "vehicle.yaml")
-    devices = Devices(tmp_path, messages_of(flown))
-    devices.start()
-    assert devices.plugged.wait(10.0)
-    live = asyncio.run(served(config, devices))
-    devices.join(10.0)
+    bauds = {"sonar": 4_000_000, "ins": 921_600, "vehicle": 921_600}
+    devices = Devices(tmp_path, bauds, messages_of(flown), START_UTC_S)
+    live = served(config, devices)
 
     n_pings = sum(isinstance(event, Ping) for event in flown)
     assert 4 * n_pings < QUEUE_PINGS

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 import math
-import threading
-import time
-from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
@@ -16,48 +12,32 @@ import numpy as np
 import pytest
 
 from auv_mcm.classify.beliefs import MINE_LIKE_P
-from auv_mcm.clock import Clock, Stamp
+from auv_mcm.clock import Stamp
 from auv_mcm.commands import read_config
 from auv_mcm.records import EchoTrace, NavSample, Ping, SourceEvent
 from auv_mcm.settings.config import Config, parse_config
 from auv_mcm.shell.recovery import RECORDING
-from auv_mcm.shell.service import Service
 from drivers.framing import Framer
-from drivers.links.can_frame import CanFrame
-from drivers.links.link import Link
-from drivers.port_source import OnBytes, OnState, PortSource, open_link
-from drivers.ports import PortSettings, read_ports
+from drivers.ports import read_ports
 from drivers.recording.session_layout import Recorded
 from drivers.sonar.jsf import JsfGrammar
 from drivers.sonar.jsf_messages import DATA_HEADER, SIDE_SCAN, JsfMessage, SideScanHeader
 from drivers.sonar.jsf_messages import to_wire as jsf_wire
 from drivers.sonar.ping_messages import NMEA_WRAPPER, OsMonoProfile, PingMessage, decode, to_wire
 from drivers.sonar.ping_protocol import PingGrammar
-from sim_replay.fakes.port import FakePort
 from sim_replay.fakes.sonar import DeviceTime, JsfSonar
 from sim_replay.logs.open_log import logs_config
 from sim_replay.logs.session_reader import Session
 from sim_replay.replay import replay
-from sim_replay.simulator.mission import Mission
-from sim_replay.simulator.scene import (
-    EXACT,
-    STEADY,
-    Lawnmower,
-    SampleRecorder,
-    Scene,
-    SceneObject,
-    Seabed,
-    Sonar,
-    Track,
-    World,
-)
+from sim_replay.simulator.scene import SampleRecorder, SceneObject, Sonar
+from tests.auv_mcm import short_missions
+from tests.drivers.port_devices import Devices, Message, served
 from tests.drivers.port_traffic import POWER_UP_S, fix, profile
 from tests.sim_replay.logs.sonar_logs import UTC_S, jsf_string, svlog_head
 
 PingBytes = Callable[[Ping, float], bytes]
 BAUD: Final = 4_000_000
 PING_RATE_HZ: Final = 12.0
-READ_AGAIN_S: Final = 5e-4  # s between looks at what the service has read
 RANGE_M: Final = 22.0
 SPEED_MPS: Final = 1.8
 FULL_SCALE_DB: Final = 80.0
@@ -76,29 +56,14 @@ ports:
 
 def flown() -> list[SourceEvent]:
     """Past a cylinder and a sphere on bare sand."""
-    scene = Scene(
-        seed=3,
-        world=World(
-            depth_m=25.0,
-            seabeds=(Seabed(type="sand", relief_rms_m=0.0, texture_shape=0.0, stones_per_ha=0.0),),
-            relief_rms_m=0.0,
-        ),
-        objects=(
-            SceneObject(
-                kind="cylinder", leg=0, along_m=14.0, across_m=12.0, azimuth_deg=20.0, length_m=2.0, width_m=0.53
-            ),
-            SceneObject(kind="sphere", leg=0, along_m=30.0, across_m=-14.0, width_m=0.8),
-        ),
-        sonar=Sonar(
-            range_m=RANGE_M,
-            n_samples=512,
-            ping_rate_hz=PING_RATE_HZ,
-            recorder=SampleRecorder(samples="amplitude_float32", seabed_counts=100.0),
-        ),
-        track=Track(plan=Lawnmower(n_legs=1, leg_m=44.0), altitude_m=4.0, speed_mps=SPEED_MPS, motion=STEADY),
-        navigation_error=EXACT,
+    objects = (
+        SceneObject(kind="cylinder", leg=0, along_m=14.0, across_m=12.0, azimuth_deg=20.0, length_m=2.0, width_m=0.53),
+        SceneObject(kind="sphere", leg=0, along_m=30.0, across_m=-14.0, width_m=0.8),
     )
-    return list(Mission(scene).events())
+    recorder = SampleRecorder(samples="amplitude_float32", seabed_counts=100.0)
+    sonar = Sonar(range_m=RANGE_M, n_samples=512, ping_rate_hz=PING_RATE_HZ, recorder=recorder)
+    scene = short_missions.one_leg(objects, sonar, length_m=44.0, altitude_m=4.0, speed_mps=SPEED_MPS)
+    return list(short_missions.flown(scene))
 
 
 def side(number: int, channel: int, time_s: float, trace: EchoTrace | None) -> bytes:
@@ -120,7 +85,7 @@ def edgetech(config: Config) -> PingBytes:
     return lambda ping, time_s: b"".join(sonar.ping(ping, DeviceTime(time_s, UTC_S + time_s)))
 
 
-def messages_of(events: list[SourceEvent], ping_bytes: PingBytes) -> list[tuple[float, str, bytes]]:
+def messages_of(events: list[SourceEvent], ping_bytes: PingBytes) -> list[Message]:
     """When each message is due, s since the first ping, at which port."""
     messages = []
     start_s = next(event.time_s for event in events if isinstance(event, Ping))
@@ -133,102 +98,6 @@ def messages_of(events: list[SourceEvent], ping_bytes: PingBytes) -> list[tuple[
         else:
             messages.append((time_s + 2.0 * RANGE_M / 1500.0, "sonar", ping_bytes(event, time_s)))
     return sorted(messages, key=lambda message: message[0])
-
-
-class MissionClock:
-    """Read this computer's clock, but stand at the time of each message while a mission is played.
-
-    How busy the computer is then changes no time of arrival.
-    """
-
-    def __init__(self) -> None:
-        self._behind_s = 0.0
-        self._stands_at_s: float | None = None
-
-    def monotonic_s(self) -> float:
-        stands_at_s = self._stands_at_s
-        return time.monotonic() - self._behind_s if stands_at_s is None else stands_at_s
-
-    def utc_s(self) -> float:
-        return UTC_S + self.monotonic_s()
-
-    def stand_at(self, mono_s: float) -> None:
-        self._stands_at_s = mono_s
-
-    def go_on(self) -> None:
-        self._behind_s = time.monotonic() - self.monotonic_s()
-        self._stands_at_s = None
-
-
-class Devices(threading.Thread):
-    """Start both devices at ports in a folder; on request they send one message after the other, each once the service
-    has read the one before.
-    """
-
-    def __init__(self, folder: Path, messages: list[tuple[float, str, bytes]]) -> None:
-        super().__init__(name="devices", daemon=True)
-        self.clock = MissionClock()
-        self.plugged = threading.Event()
-        self.begin = threading.Event()
-        self.done = threading.Event()
-        self.commands: list[bytes] = []
-        self._folder, self._messages = folder, messages
-        self._n_read: Counter[str] = Counter()
-
-    def run(self) -> None:
-        asyncio.run(self._run())
-
-    def open_link(
-        self, port: PortSettings, on_bytes: OnBytes, on_state: OnState, clock: Clock
-    ) -> Link[bytes] | Link[CanFrame]:
-        """Open the service's end of a port, and count what it has read there."""
-
-        def read(data: bytes, stamp: Stamp) -> None:
-            on_bytes(data, stamp)
-            self._n_read[port.name] += len(data)
-
-        return open_link(port, read, on_state, clock)
-
-    async def _run(self) -> None:
-        ports = {
-            "sonar": FakePort(self._folder / "sonar", BAUD, on_bytes=self.commands.append),
-            "ins": FakePort(self._folder / "ins", BAUD),
-        }
-        for port in ports.values():
-            port.plug()
-        self.plugged.set()
-        while not self.begin.is_set():
-            await asyncio.sleep(0.01)
-        start_s = self.clock.monotonic_s()
-        n_read = self._n_read.copy()
-        for due_s, at, data in self._messages:
-            self.clock.stand_at(start_s + due_s)
-            await ports[at].send(data)
-            n_read[at] += len(data)
-            while self._n_read[at] < n_read[at]:
-                await asyncio.sleep(READ_AGAIN_S)
-        self.clock.go_on()
-        self.done.set()
-        while self.begin.is_set():
-            await asyncio.sleep(0.01)
-        for port in ports.values():
-            port.unplug()
-
-
-async def served(config: Config, devices: Devices) -> Path:
-    source = PortSource(config, devices.clock, devices.open_link)
-    service = Service(config, source, clock=devices.clock, console=lambda line: None)
-    serving = asyncio.ensure_future(service.run())
-    try:
-        while not (all(port.state == "up" for port in source.health().ports) or serving.done()):
-            await asyncio.sleep(0.01)
-        devices.begin.set()
-        while not (devices.done.is_set() or serving.done()):
-            await asyncio.sleep(0.05)
-    finally:
-        service.stop()
-        devices.begin.clear()
-    return await serving
 
 
 def received_of(recording: Path) -> list[Recorded]:
@@ -308,11 +177,9 @@ def test_a_recorded_session_gives_the_same_contacts_to_the_byte_and_a_sonars_own
     device: str, tmp_path: Path
 ) -> None:
     config = parse_config(CONFIG.format(folder=tmp_path, device=device), "vehicle.yaml")
-    devices = Devices(tmp_path, messages_of(flown(), profiles if device == "ping_protocol" else edgetech(config)))
-    devices.start()
-    assert devices.plugged.wait(10.0)
-    live = asyncio.run(served(config, devices))
-    devices.join(10.0)
+    messages = messages_of(flown(), profiles if device == "ping_protocol" else edgetech(config))
+    devices = Devices(tmp_path, {"sonar": BAUD, "ins": BAUD}, messages, UTC_S)
+    live = served(config, devices)
 
     assert logs_config([live / RECORDING]) == config != read_config(None)
     replay([live / RECORDING], tmp_path / "again", config)
@@ -329,7 +196,7 @@ def test_a_recorded_session_gives_the_same_contacts_to_the_byte_and_a_sonars_own
     for one, other in zip(found, again, strict=True):
         assert apart_m(one, other) < SPEED_MPS / PING_RATE_HZ
 
-    assert b"".join(devices.commands).startswith(b"BR" if device == "ping_protocol" else b"\x01\x16")
+    assert devices.received["sonar"].startswith(b"BR" if device == "ping_protocol" else b"\x01\x16")
     summary = json.loads((live / "summary.json").read_bytes())
     assert summary["counters"]["port.sonar.commands_sent"] >= 2
     assert not [name for name in summary["counters"] if name.endswith(("_lost", "_dropped"))]
