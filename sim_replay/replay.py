@@ -37,7 +37,7 @@ from auv_mcm.skips import ALL_SKIPS, NO_SKIPS, Skips
 from sim_replay.logs.open_log import CHUNK_BYTES
 from sim_replay.logs.recorded import Pace, RecordedMission, open_mission
 from sim_replay.mosaic import Mosaic
-from sim_replay.report import MissionRecord, PictureCollector, write_report
+from sim_replay.report import MissionRecord, PictureCollector, Shown, write_report
 from sim_replay.report.map_picture import MAX_BLOCKS, RESOLUTION_M, map_picture
 from sim_replay.report.report_file import REPORT, report_contents, write_contents
 from sim_replay.verdicts import Verdict, read_verdicts
@@ -220,9 +220,10 @@ class _Replaying:
         self._add(clearance_notices(clearance))
         totals, took_s = results.totals(self._config.plan), self._processing_s
         record = self._record(totals, png, judged)
-        shown = report_contents(record, contacts, self._coverage, waypoints, self._notices, counters, self._pictures)
-        write_contents(folder, shown)
-        write_report(folder / REPORT, record, contacts, self._coverage, waypoints, self._notices, counters, shown)
+        shown = Shown(record, contacts, self._coverage, waypoints, self._notices, counters, self._pictures)
+        kept = report_contents(shown)
+        write_contents(folder, kept)
+        write_report(folder / REPORT, shown._replace(pictures=kept))
         return {
             "version": __version__,
             "mission": self._config.mission,

@@ -1,13 +1,20 @@
-"""Write tables of benches, in columns for a terminal or in Markdown, and rates in them."""
+"""Write tables of benches, in columns for a terminal or in Markdown, and rates in them; and models as JSON."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final
+from typing import Any, Final, Literal
+
+import msgspec
 
 from sim_replay.scoring.intervals import Density, Proportion
 
 NOTHING: Final = "-"
+
+
+def json_lines(value: Any, order: Literal["deterministic"] | None = None) -> bytes:
+    """Write a model as JSON, a line per value; see msgspec for the order."""
+    return msgspec.json.format(msgspec.json.encode(value, order=order), indent=1) + b"\n"
 
 
 def share_cell(share: Proportion) -> str:

@@ -5,8 +5,8 @@ They are what `auv-mcm bench mutants --all` damages.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from functools import cache, partial
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple
 
@@ -19,21 +19,12 @@ import yaml
 from auv_mcm.clock import Stamp
 from auv_mcm.records import NavSample, Ping
 from auv_mcm.settings.config import Config, config_yaml, parse_config
-from drivers.ports import read_ports
-from drivers.recording.session_layout import Recorded, SessionDescription
-from drivers.recording.session_writer import SessionWriter
-from drivers.sonar.jsf_messages import JsfMessage
-from drivers.sonar.jsf_messages import to_wire as jsf_wire
-from drivers.sonar.ping_messages import NMEA_WRAPPER, JsonWrapper, PingMessage, encode
-from drivers.sonar.ping_messages import to_wire as ping_wire
 from sim_replay.benches.recorder_files import write_humminbird, write_lowrance, write_sdf
-from sim_replay.fakes.device import SONARS
-from sim_replay.fakes.navigation import Nmea0183Unit
-from sim_replay.fakes.sonar import DeviceTime
 from sim_replay.logs.image_sidecar import sidecar_path
 from sim_replay.logs.xtf_writer import write_xtf
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene import Lawnmower, Scene, SceneObject, Sonar, Track
+from sim_replay.wire_logs import Run, played, write_jsf, write_session, write_svlog
 
 Role = Literal["log", "image", "sidecar", "track", "configuration", "scene", "mine list"]
 
@@ -63,8 +54,8 @@ class Seed(NamedTuple):
 def write_seeds(folder: Path) -> list[Seed]:
     """Write a seed of every format and role below a folder."""
     return [
-        *(_log(folder, name, file, write) for name, file, write in _LOGS),
-        *(_image(folder, name, file, write, changes) for name, file, write, changes in _IMAGES),
+        *(_written(folder, *log) for log in _LOGS),
+        *(_written(folder, *image) for image in _IMAGES),
         _beside(folder, "sidecar", sidecar_path(Path(_BASE)).name, ""),
         _beside(folder, "track", "track.csv", ""),
         _beside(folder, "configuration", "config.yaml", config_yaml(Config()), "--config", "config.yaml"),
@@ -86,106 +77,38 @@ def _mission() -> tuple[NavSample | Ping, ...]:
 
 
 @cache
-def _received(device: str) -> tuple[Config, tuple[Recorded, ...]]:
-    """Let a fake sonar and a satellite compass sail the mission: the ports' configuration, and what came in there."""
-    ports = [
-        {
-            "name": "sonar",
-            "link": "tcp://192.168.2.92:51200",
-            "device": device,
-            "sonar": {"range_m": _RANGE_M, "n_samples": _N_SAMPLES},
-        },
-        {"name": "compass", "link": "tcp://192.168.2.93:2000", "device": "nmea0183"},
-    ]
-    config = parse_config(yaml.safe_dump({"ports": ports}), "the seed")
-    sonar, unit = SONARS[device](), Nmea0183Unit()
-    for command in read_ports(config)[0].commands:
-        sonar.heard(command, DeviceTime(0.0, _UTC_S))
-    start_s = _mission()[0].time_s
-    received: list[Recorded] = []
-    for event in _mission():
-        at_s = round(event.time_s - start_s, 3)
-        stamp = Stamp(round(at_s * 1e9), round((_UTC_S + at_s) * 1e9))
-        messages: Sequence[Any]
-        if isinstance(event, NavSample):
-            messages = unit.measured(event, _UTC_S + at_s)
-        else:
-            messages = sonar.ping(event, DeviceTime(at_s, _UTC_S + at_s))
-        port = "compass" if isinstance(event, NavSample) else "sonar"
-        data = b"".join(bytes(message) for message in messages)  # type: ignore[arg-type]  # no frame of a bus
-        received.append(Recorded(port, "in", stamp, data))
-    return config, tuple(received)
-
-
-def _xtf(path: Path) -> None:
-    write_xtf(path, _mission())
-
-
-def _jsf(path: Path) -> None:
-    """Write what EdgeTech's topside records: sentences in messages of type 2002."""
-    parts = []
-    for recorded in _received("jsf")[1]:
-        seconds, nanoseconds = divmod(recorded.stamp.utc_ns, 1_000_000_000)
-        head = seconds.to_bytes(4, "little") + (nanoseconds // 1_000_000).to_bytes(4, "little") + bytes(4)
-        for line in recorded.data.splitlines(keepends=True) if recorded.port == "compass" else ():
-            parts.append(jsf_wire(JsfMessage(2002, head + line + b"\0", subsystem=101)))
-        if recorded.port == "sonar":
-            parts.append(recorded.data)
-    path.write_bytes(b"".join(parts))
-
-
-def _svlog(path: Path) -> None:
-    """Write what SonarView records: a head with the time, then packets, and sentences in packets of their own."""
-    parts = [encode(JsonWrapper({"session_id": 1, "timestamp": "2026-06-01T10:00:00+00:00"}))]
-    for recorded in _received("ping_protocol")[1]:
-        if recorded.port == "sonar":
-            parts.append(recorded.data)
-        else:
-            lines = recorded.data.splitlines(keepends=True)
-            parts += [ping_wire(PingMessage(NMEA_WRAPPER, line)) for line in lines]
-    path.write_bytes(b"".join(parts))
-
-
-def _humminbird(path: Path) -> None:
-    write_humminbird(path.with_name("Rec00001.DAT"), _mission(), son=path.parent)
-
-
-def _sdf(path: Path, version: int) -> None:
-    write_sdf(path, _mission(), version=version)
+def _received(device: str) -> Run:
+    """Let a fake sonar and a satellite compass sail the mission."""
+    sonar = f"device: {device}, sonar: {{range_m: {_RANGE_M}, n_samples: {_N_SAMPLES}}}"
+    text = f"""
+ports:
+  - {{name: sonar, link: "tcp://192.168.2.92:51200", {sonar}}}
+  - {{name: compass, link: "tcp://192.168.2.93:2000", device: nmea0183}}
+"""
+    config = parse_config(text, "the seed")
+    return played(_mission(), config, Stamp(0, round(_UTC_S * 1e9)))
 
 
 def _session(path: Path) -> None:
-    config, received = _received("jsf")
-    folder = path.parent / "recording"
-    description = SessionDescription(
-        version="0.1.0", started=received[0].stamp, config_yaml=config_yaml(config), ports=()
-    )
-    writer = SessionWriter(folder, description)
-    for recorded in received:
-        writer.add(recorded)
-    writer.close()
+    folder = write_session(_received("jsf"), path.parent / "recording")
     (file,) = folder.iterdir()
     file.rename(path)
     folder.rmdir()
 
 
-_LOGS: Final[tuple[tuple[str, str, Callable[[Path], None]], ...]] = (
-    ("XTF", "log.xtf", _xtf),
-    ("JSF", "log.jsf", _jsf),
-    ("svlog", "log.svlog", _svlog),
+_LOGS: Final[tuple[tuple[str, str, Callable[[Path], Any]], ...]] = (
+    ("XTF", "log.xtf", lambda path: write_xtf(path, _mission())),
+    ("JSF", "log.jsf", lambda path: write_jsf(_received("jsf"), path)),
+    ("svlog", "log.svlog", lambda path: write_svlog(_received("ping_protocol"), path)),
     ("recorded session", "log.mcap", _session),
     ("SL2", "log.sl2", lambda path: write_lowrance(path, _mission())),
     ("SL3", "log.sl3", lambda path: write_lowrance(path, _mission(), version=3, composite=False)),
-    ("Humminbird", "B002.SON", _humminbird),
-    *((f"SDF {page}", f"log{page}.sdf", partial(_sdf, version=page)) for page in (3000, 3502, 5004)),
+    ("Humminbird", "B002.SON", lambda path: write_humminbird(path.with_name("R.DAT"), _mission(), son=path.parent)),
+    *(
+        (f"SDF {page}", f"log{page}.sdf", lambda path, page=page: write_sdf(path, _mission(), version=page))
+        for page in (3000, 3502, 5004)
+    ),
 )
-
-
-def _log(folder: Path, name: str, file: str, write: Callable[[Path], None]) -> Seed:
-    own = folder / file.replace(".", "-")
-    own.mkdir(parents=True)
-    write(own / file)
-    return Seed(name, "log", own, file, ("replay", file, "--out", "out"))
 
 
 # --- images ----------------------------------------------------------------------------------------------------------
@@ -240,12 +163,15 @@ _IMAGES: Final[tuple[tuple[str, str, Callable[[Path], Any], dict[str, Any]], ...
 )
 
 
-def _image(folder: Path, name: str, file: str, write: Callable[[Path], Any], changes: dict[str, Any]) -> Seed:
+def _written(
+    folder: Path, name: str, file: str, write: Callable[[Path], Any], changes: dict[str, Any] | None = None
+) -> Seed:
     own = folder / file.replace(".", "-")
     own.mkdir(parents=True)
     write(own / file)
-    write_sidecar(own / file, changes)
-    return Seed(name, "image", own, file, ("replay", file, "--out", "out"))
+    if changes is not None:
+        write_sidecar(own / file, changes)
+    return Seed(name, "log" if changes is None else "image", own, file, ("replay", file, "--out", "out"))
 
 
 def write_sidecar(image: Path, changes: dict[str, Any]) -> None:

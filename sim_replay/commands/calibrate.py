@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, TypeAlias
 
 from auv_mcm.commands import CONFIG, Commands, Progress, command, read_config, whole, write_new
 from sim_replay.arguments import check_new, count
@@ -79,15 +79,18 @@ def _theatre_of(arguments: argparse.Namespace) -> Theatre:
     return read_theatre(arguments.theatre, read_config(arguments.config), options) if options else USUAL
 
 
+def _write(arguments: argparse.Namespace, fitted: Any, order: Literal["deterministic"] | None = None) -> int:
+    from sim_replay.text_tables import json_lines
+
+    write_new(arguments.out, json_lines(fitted, order).decode())
+    return 0
+
+
 def _run_background(arguments: argparse.Namespace, show: Show) -> int:
-    from sim_replay.fitting.fit_background import background_json, calibrate_background
+    from sim_replay.fitting.fit_background import calibrate_background
 
     check_new(arguments.out)
-    write_new(
-        arguments.out,
-        background_json(calibrate_background(arguments.seeds, _farm_of(arguments), show, _theatre_of(arguments))),
-    )
-    return 0
+    return _write(arguments, calibrate_background(arguments.seeds, _farm_of(arguments), show, _theatre_of(arguments)))
 
 
 def _run_verifier(arguments: argparse.Namespace, show: Show) -> int:
@@ -102,24 +105,20 @@ def _run_verifier(arguments: argparse.Namespace, show: Show) -> int:
 
 
 def _run_gate(arguments: argparse.Namespace, show: Show) -> int:
-    from sim_replay.fitting.fit_gate import calibrate_gate, gate_json
+    from sim_replay.fitting.fit_gate import calibrate_gate
 
     check_new(arguments.out)
-    write_new(
-        arguments.out, gate_json(calibrate_gate(arguments.seeds, _farm_of(arguments), show, _theatre_of(arguments)))
-    )
-    return 0
+    return _write(arguments, calibrate_gate(arguments.seeds, _farm_of(arguments), show, _theatre_of(arguments)))
 
 
 def _run_sizes(arguments: argparse.Namespace, show: Show) -> int:
     from auv_mcm import __version__
-    from sim_replay.fitting.fit_sizes import calibrate_sizes, size_model_json
+    from sim_replay.fitting.fit_sizes import calibrate_sizes
 
     check_new(arguments.out)
     seeds = arguments.seeds
     made_by = f"version {__version__}, auv-mcm calibrate sizes --seeds {seeds[0]}-{seeds[-1]}"
-    write_new(arguments.out, size_model_json(calibrate_sizes(seeds, arguments.workers, made_by, show)))
-    return 0
+    return _write(arguments, calibrate_sizes(seeds, arguments.workers, made_by, show))
 
 
 def _run_odds(arguments: argparse.Namespace, show: Show) -> int:
@@ -171,7 +170,6 @@ def _run_performance(arguments: argparse.Namespace, show: Show) -> int:
         FLIGHTS,
         fly_all,
         performance_fit_words,
-        performance_json,
         tables,
     )
     from sim_replay.fitting.detection_performance.fit_performance import fit_performance
@@ -188,13 +186,11 @@ def _run_performance(arguments: argparse.Namespace, show: Show) -> int:
     print(f"of a further look, {performance.same_look_correlation:.2f} is known from one in the same direction")
     print(f"and {performance.other_look_correlation:.2f} from one in another")
     if arguments.out is not None:
-        write_new(arguments.out, performance_json(performance).decode())
+        _write(arguments, performance, "deterministic")
     return 0
 
 
 def _run_seabed(arguments: argparse.Namespace, show: Show) -> int:
-    import msgspec
-
     from sim_replay.fitting.cascade.farm import run_tasks
     from sim_replay.fitting.seabed.fit_seabed import FIT_SEEDS, fit_seabed_model, seabed_fit_words
     from sim_replay.fitting.seabed.samples import pooled, samples_of
@@ -207,7 +203,7 @@ def _run_seabed(arguments: argparse.Namespace, show: Show) -> int:
     model = fit_seabed_model(samples, seabed_fit_words(seeds, samples.shares))
     print(model.fitted_on)
     if arguments.out is not None:
-        write_new(arguments.out, msgspec.json.format(msgspec.json.encode(model), indent=1).decode() + "\n")
+        _write(arguments, model)
     return 0
 
 

@@ -241,11 +241,6 @@ def fitted_model(tasks: Sequence[Task], missions: Sequence[SortedContacts]) -> B
     )
 
 
-def background_json(model: BackgroundModel) -> str:
-    """Write a model as JSON, a line per value."""
-    return msgspec.json.format(msgspec.json.encode(model), indent=1).decode() + "\n"
-
-
 def _never_opposed(covariance: Array) -> Array:
     """Take out negative covariances, so that more background at some log-odds never makes less expected at others.
 

@@ -115,11 +115,6 @@ def calibrate_gate(
     return fit_gate(found["cascade"], found["contrast"], ContactsConfig().min_p_mine, fitted_on)
 
 
-def gate_json(gate: Gate) -> str:
-    """Write a gate as JSON, a line per value."""
-    return msgspec.json.format(msgspec.json.encode(gate), indent=1).decode() + "\n"
-
-
 def _outcome(scene: str, view: Detection) -> PlaceOutcome:
     return PlaceOutcome(scene, view.ground_range_m, view.altitude_m, view.cascade_score, view.score, view.p_mine)
 

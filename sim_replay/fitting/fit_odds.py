@@ -233,11 +233,6 @@ def _step_table(examples: Sequence[Example], step: MeasuredStep) -> StepTable:
     return StepTable(names, len(summed), values)
 
 
-def fit_odds(examples: Sequence[Example], fitted_on: str, n_trees: Mapping[MeasuredStep, int]) -> MineOdds:
-    """Fit weights to examples, as fit_table does."""
-    return fit_table(look_table(examples), fitted_on, n_trees)
-
-
 def fit_table(looks: LookTable, fitted_on: str, n_trees: Mapping[MeasuredStep, int]) -> MineOdds:
     """Fit weights for each step, and the requested number of trees; p_mine is right on average over the usual examples.
 

@@ -13,7 +13,6 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Any, Final, NamedTuple
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -138,11 +137,6 @@ def fit_sizes(looks: Sequence[SizedLook], fitted_on: str, made_by: str) -> SizeM
     return SizeModel(
         fitted_on=fitted_on, made_by=made_by, clear_nats=CLEAR_NATS, temper=round(temper, _DIGITS), kinds=kinds
     )
-
-
-def size_model_json(model: SizeModel) -> str:
-    """Write a model as JSON, a line per value."""
-    return msgspec.json.format(msgspec.json.encode(model), indent=1).decode() + "\n"
 
 
 def _size_law(true: Array, measured: Array) -> SizeLaw:

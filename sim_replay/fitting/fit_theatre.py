@@ -23,15 +23,15 @@ from sim_replay.fitting.cascade.spec import on_grid
 from sim_replay.fitting.detection_performance import calibrate_performance as performance
 from sim_replay.fitting.detection_performance.fit_performance import fit_performance
 from sim_replay.fitting.fit_background import FIRST_SEED as BACKGROUND_SEED
-from sim_replay.fitting.fit_background import background_json, calibrate_background
+from sim_replay.fitting.fit_background import calibrate_background
 from sim_replay.fitting.fit_gate import FIRST_SEED as GATE_SEED
-from sim_replay.fitting.fit_gate import calibrate_gate, gate_json
+from sim_replay.fitting.fit_gate import calibrate_gate
 from sim_replay.fitting.looks import LookTask, flight_of
 from sim_replay.fitting.theatre import Theatre, with_files
 from sim_replay.flights import fly_through
 from sim_replay.scoring.inputs import ScoredMission, as_reported, parse_truth
 from sim_replay.scoring.thresholds import BestScores, banded_at, best_scores
-from sim_replay.text_tables import columns
+from sim_replay.text_tables import columns, json_lines
 
 CONFIG: Final = "vehicle.yaml"
 """Name of the configuration that names all other files."""
@@ -111,17 +111,17 @@ def _steps(train: Callable[[Path], None], farm: Farm) -> Iterator[Step]:
 
     def gate(theatre: Theatre, out: Path, show: Show) -> None:
         seeds = range(GATE_SEED, GATE_SEED + _n_seeds("gate", theatre))
-        write_file(out, gate_json(calibrate_gate(seeds, farm, show, theatre)).encode())
+        write_file(out, json_lines(calibrate_gate(seeds, farm, show, theatre)))
 
     def background(theatre: Theatre, out: Path, show: Show) -> None:
         seeds = range(BACKGROUND_SEED, BACKGROUND_SEED + _n_seeds("background", theatre))
-        write_file(out, background_json(calibrate_background(seeds, farm, show, theatre)).encode())
+        write_file(out, json_lines(calibrate_background(seeds, farm, show, theatre)))
 
     def tables(theatre: Theatre, out: Path, show: Show) -> None:
         seeds, flights = performance.FIT_SEEDS, performance.FLIGHTS
         looks = [look for one in performance.fly_all(seeds, flights, farm, show, theatre) for look in one]
         words = performance.performance_fit_words(seeds, flights, looks)
-        write_file(out, performance.performance_json(fit_performance(looks, words)))
+        write_file(out, json_lines(fit_performance(looks, words), "deterministic"))
 
     yield Step("model", "model.json", lambda theatre, out, show: train(out))
     yield Step("odds", "odds.json", odds)

@@ -95,43 +95,37 @@ class Pictures(Protocol):
         ...
 
 
+class Shown(NamedTuple):
+    """Hold all that a report shows."""
+
+    mission: MissionRecord
+    contacts: Sequence[Contact]
+    patches: Iterable[CoveragePatch]
+    waypoints: Sequence[Waypoint]
+    notices: Iterable[Notice]
+    counters: Mapping[str, float]
+    pictures: Pictures
+
+
 def ranked_contacts(contacts: Iterable[Contact]) -> list[Contact]:
     """Sort contacts, the likeliest mine first."""
     return sorted(contacts, key=lambda contact: (not contact.p_mine >= 0.0, -contact.p_mine, contact.id))
 
 
-def write_report(
-    path: Path,
-    mission: MissionRecord,
-    contacts: Sequence[Contact],
-    patches: Iterable[CoveragePatch],
-    waypoints: Sequence[Waypoint],
-    notices: Iterable[Notice],
-    counters: Mapping[str, float],
-    pictures: Pictures,
-) -> None:
+def write_report(path: Path, shown: Shown) -> None:
     """Write the page to `path`, and beside it a summary that prints on one page of A4.
 
     The MAX_CARDS contacts most likely to be mines get a card, these and the next MAX_ROWS a line of the table; the rest
     is in the contact files alone.
     """
-    context = _context(mission, contacts, patches, waypoints, notices, counters, pictures)
+    context = _context(shown)
     for name, template in ((path, "report.html.j2"), (path.with_name(ONE_PAGE), "one_page.html.j2")):
         write_file(name, _rendered(template, context).encode("utf-8", "replace"))
 
 
-def render_report(
-    mission: MissionRecord,
-    contacts: Sequence[Contact],
-    patches: Iterable[CoveragePatch],
-    waypoints: Sequence[Waypoint],
-    notices: Iterable[Notice],
-    counters: Mapping[str, float],
-    pictures: Pictures,
-) -> str:
+def render_report(shown: Shown) -> str:
     """Render the page as text."""
-    context = _context(mission, contacts, patches, waypoints, notices, counters, pictures)
-    return _rendered("report.html.j2", context)
+    return _rendered("report.html.j2", _context(shown))
 
 
 def _rendered(template: str, context: Mapping[str, Any]) -> str:
@@ -147,16 +141,9 @@ def _rendered(template: str, context: Mapping[str, Any]) -> str:
     return environment.get_template(template).render(context)
 
 
-def _context(
-    mission: MissionRecord,
-    contacts: Sequence[Contact],
-    patches: Iterable[CoveragePatch],
-    waypoints: Sequence[Waypoint],
-    notices: Iterable[Notice],
-    counters: Mapping[str, float],
-    pictures: Pictures,
-) -> dict[str, Any]:
+def _context(shown: Shown) -> dict[str, Any]:
     """Gather what the templates show."""
+    mission, contacts, patches, waypoints, notices, counters, pictures = shown
     ranked = ranked_contacts(contacts)
     strips = pictures.strips()
     track_deg = np.column_stack([mission.track_latitude_deg, mission.track_longitude_deg]).astype(np.float64)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -17,8 +16,8 @@ from auv_mcm.errors import BadInputError
 from auv_mcm.records import Contact, CoveragePatch, Detection, Notice, Waypoint
 from auv_mcm.safe_files import open_regular
 from auv_mcm.shell.whole_files import write_file
-from sim_replay.report.page import MAX_CARDS, MAX_ROWS, MissionRecord, ranked_contacts, write_report
-from sim_replay.report.pictures import PictureCollector, PictureStrip
+from sim_replay.report.page import MAX_CARDS, MAX_ROWS, MissionRecord, Shown, ranked_contacts, write_report
+from sim_replay.report.pictures import PictureStrip
 from sim_replay.verdicts import read_verdicts
 
 REPORT_CONTENTS: Final = "report-contents.bin"
@@ -52,27 +51,19 @@ class ReportContents(msgspec.Struct, frozen=True, kw_only=True, eq=False):
         return self.times_m, self.times_s
 
 
-def report_contents(
-    mission: MissionRecord,
-    contacts: Sequence[Contact],
-    patches: Iterable[CoveragePatch],
-    waypoints: Sequence[Waypoint],
-    notices: Iterable[Notice],
-    counters: Mapping[str, float],
-    pictures: PictureCollector,
-) -> ReportContents:
-    """Gather what a report shows; contacts too unlikely for its table lose their pictures."""
-    unlisted = {contact.id for contact in ranked_contacts(contacts)[MAX_CARDS + MAX_ROWS :]}
-    times_m, times_s = pictures.times()
+def report_contents(shown: Shown) -> ReportContents:
+    """Keep what a report shows; contacts too unlikely for its table lose their pictures."""
+    unlisted = {contact.id for contact in ranked_contacts(shown.contacts)[MAX_CARDS + MAX_ROWS :]}
+    times_m, times_s = shown.pictures.times()
     return ReportContents(
         version=__version__,
-        mission=mission,
-        contacts=tuple(_without_pictures(one) if one.id in unlisted else one for one in contacts),
-        patches=tuple(msgspec.structs.replace(patch, cells=None) for patch in patches),
-        waypoints=tuple(waypoints),
-        notices=tuple(notices),
-        counters=dict(counters),
-        kept_strips=pictures.strips(),
+        mission=shown.mission,
+        contacts=tuple(_without_pictures(one) if one.id in unlisted else one for one in shown.contacts),
+        patches=tuple(msgspec.structs.replace(patch, cells=None) for patch in shown.patches),
+        waypoints=tuple(shown.waypoints),
+        notices=tuple(shown.notices),
+        counters=dict(shown.counters),
+        kept_strips=shown.pictures.strips(),
         times_m=times_m,
         times_s=times_s,
     )
@@ -103,9 +94,8 @@ def redraw_report(folder: Path) -> ReportContents:
     """Draw the report of results again, with the verdicts of now. Raises BadInputError as `read_contents` does."""
     kept = read_contents(folder)
     mission = msgspec.structs.replace(kept.mission, verdicts=read_verdicts(folder))
-    write_report(
-        folder / REPORT, mission, kept.contacts, kept.patches, kept.waypoints, kept.notices, kept.counters, kept
-    )
+    shown = Shown(mission, kept.contacts, kept.patches, kept.waypoints, kept.notices, kept.counters, kept)
+    write_report(folder / REPORT, shown)
     return msgspec.structs.replace(kept, mission=mission)
 
 

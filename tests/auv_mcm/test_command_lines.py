@@ -27,24 +27,20 @@ import pytest
 
 from auv_mcm.cli import _parser, main
 from auv_mcm.clock import Stamp
-from auv_mcm.records import NavSample, Ping
 from auv_mcm.settings.budget_settings import BudgetConfig
 from auv_mcm.settings.config import config_yaml, parse_config
 from auv_mcm.shell.health.record import Health
 from drivers.recording.start_recording import start_recording
-from drivers.sonar.ping_protocol import commands as ping_commands
-from drivers.sonar.sonar_decoder import SonarSettings
 from sim_replay.commands.bench import BENCHES
-from sim_replay.fakes.navigation import NAVIGATION_UNITS
-from sim_replay.fakes.sonar import DeviceTime, PingProtocolSonar
 from sim_replay.fitting.measure_prices import PriceList
 from sim_replay.simulate import simulate
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene_file import parse_scene
 from sim_replay.verdicts import Verdict, append_verdict
+from sim_replay.wire_logs import played, write_jsf
 from tests.manual_clock import ManualClock
 from tests.sim_replay.logs.image_writer import write_images
-from tests.sim_replay.logs.sonar_logs import mission, run_of, write_jsf
+from tests.sim_replay.logs.sonar_logs import mission, run_of
 
 ROOT = Path(__file__).parents[2]
 PAGES = [
@@ -211,20 +207,12 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def record(folder: Path) -> None:
     """Record the scene's mission as the service would, from a sonar and a navigation unit."""
-    sonar, unit = PingProtocolSonar(), NAVIGATION_UNITS["nmea0183"]()
-    for command in ping_commands(SonarSettings(range_m=25.0, n_samples=400)):
-        sonar.heard(command, DeviceTime(0.0, 1_700_000_000.0))
-    recorder = start_recording(folder, parse_config(PORTS, "ports"), ManualClock(1_700_000_000.0))
-    for event in Mission(parse_scene(SCENE, "scene")).events():
-        assert isinstance(event, Ping | NavSample)
-        stamp = Stamp(round((event.time_s - 1_600_000_000.0) * 1e9), round(event.time_s * 1e9))
-        if isinstance(event, Ping):
-            for data in sonar.ping(event, DeviceTime(event.time_s - 1_600_000_000.0, event.time_s)):
-                recorder.record("sonar", "in", stamp, data)
-        else:
-            for message in unit.measured(event, event.time_s):
-                assert isinstance(message, bytes)
-                recorder.record("nav", "in", stamp, message)
+    config = parse_config(PORTS, "ports")
+    events = list(Mission(parse_scene(SCENE, "scene")).events())
+    run = played(events, config, Stamp(100_000_000_000_000_000, 1_700_000_000_000_000_000))
+    recorder = start_recording(folder, config, ManualClock(1_700_000_000.0))
+    for recorded in run.recorded:
+        recorder.record(*recorded)
     recorder.close()
 
 

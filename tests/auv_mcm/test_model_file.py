@@ -14,10 +14,10 @@ from auv_mcm.cli import main
 from auv_mcm.errors import BadInputError
 from auv_mcm.seabed.seabed_model import configured_seabed_model, shipped_seabed_model
 from auv_mcm.settings.config import Config, DetectConfig
-from sim_replay.fitting.detection_performance.calibrate_performance import performance_json
 from sim_replay.logs.xtf_writer import write_xtf
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene import Lawnmower, Scene, Sonar, Track
+from sim_replay.text_tables import json_lines
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +30,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def blind_tables(path: Path) -> Path:
     """Tables, as calibrate writes them, of a sonar that never finds anything."""
-    tables: dict[str, Any] = json.loads(performance_json(shipped_performance()))
+    tables: dict[str, Any] = json.loads(json_lines(shipped_performance()))
     for bands in tables["floors"].values():
         for band in bands:
             band.update(p=0.0, low=0.0)

@@ -23,17 +23,18 @@ from drivers.recording.session_layout import Recorded
 from drivers.sonar.jsf import JsfGrammar
 from drivers.sonar.jsf_messages import DATA_HEADER, SIDE_SCAN, JsfMessage, SideScanHeader
 from drivers.sonar.jsf_messages import to_wire as jsf_wire
-from drivers.sonar.ping_messages import NMEA_WRAPPER, OsMonoProfile, PingMessage, decode, to_wire
+from drivers.sonar.ping_messages import OsMonoProfile, PingMessage, decode, to_wire
 from drivers.sonar.ping_protocol import PingGrammar
 from sim_replay.fakes.sonar import DeviceTime, JsfSonar
 from sim_replay.logs.open_log import logs_config
 from sim_replay.logs.session_reader import Session
 from sim_replay.replay import replay
 from sim_replay.simulator.scene import SampleRecorder, SceneObject, Sonar
+from sim_replay.wire_logs import jsf_string, nmea_packet, svlog_head
 from tests.auv_mcm import short_missions
 from tests.drivers.port_devices import Devices, Message, served
 from tests.drivers.port_traffic import POWER_UP_S, fix, profile
-from tests.sim_replay.logs.sonar_logs import UTC_S, jsf_string, svlog_head
+from tests.sim_replay.logs.sonar_logs import UTC_S
 
 PingBytes = Callable[[Ping, float], bytes]
 BAUD: Final = 4_000_000
@@ -139,7 +140,7 @@ def write_svlog(recording: Path, path: Path) -> Path:
             parts += [to_wire(framed.message) for framed in framer.feed(recorded.data)]
         else:
             *lines, said = (said + recorded.data).split(b"\n")
-            parts += [to_wire(PingMessage(NMEA_WRAPPER, line + b"\n")) for line in lines]
+            parts += [nmea_packet(line + b"\n") for line in lines]
     path.write_bytes(b"".join(parts))
     return path
 

@@ -23,11 +23,11 @@ from drivers.ports import read_ports
 from drivers.sonar.jsf import JsfGrammar
 from drivers.sonar.jsf_messages import DATA_HEADER, JsfMessage, SideScanHeader, Validity
 from drivers.sonar.jsf_messages import to_wire as jsf_wire
-from drivers.sonar.ping_messages import NMEA_WRAPPER, JsonWrapper, OsMonoProfile, PingMessage, decode, encode
-from drivers.sonar.ping_messages import to_wire as ping_wire
+from drivers.sonar.ping_messages import OsMonoProfile, decode, encode
 from drivers.sonar.ping_protocol import PingGrammar
 from sim_replay.fakes.device import SONARS
 from sim_replay.fakes.sonar import DeviceTime
+from sim_replay.wire_logs import nmea_packet, svlog_head
 from tests.make.odd_line import RANGE_M, line
 
 UTC_S: Final = 1_790_000_000.0  # 2026-09: no rollover by itself
@@ -141,13 +141,12 @@ def _profiles(messages: list[bytes], sides: str) -> Iterator[bytes]:
 def write_svlog(path: Path, values: dict[str, str], seed: int) -> None:
     """Write what SonarView records."""
     first_s = next(event.time_s for event in line().events if isinstance(event, Ping)) - line().events[0].time_s
-    stamp = datetime.fromtimestamp(UTC_S + first_s, UTC).isoformat()
-    parts = [encode(JsonWrapper({"session_id": 1, "timestamp": stamp}))]
+    parts = [svlog_head(UTC_S + first_s)]
     for _, port, data in _arrivals("ping_protocol", values, seed):
         if port == "sonar":
             parts.append(data)
         else:
-            parts += [ping_wire(PingMessage(NMEA_WRAPPER, one)) for one in data.splitlines(keepends=True)]
+            parts += [nmea_packet(one) for one in data.splitlines(keepends=True)]
     path.write_bytes(b"".join(parts))
 
 

@@ -15,7 +15,7 @@ from auv_mcm.contacts.export import contact_feature
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import Contact
 from sim_replay.contact_sheet import sheet_contacts, write_contact_sheet
-from sim_replay.report import PictureCollector
+from sim_replay.report import PictureCollector, Shown
 from sim_replay.report.report_file import ReportContents, read_contents, report_contents, write_contents
 from sim_replay.training_export import CATEGORIES, judged_chips, write_coco, write_yolo
 from sim_replay.verdict_layers import with_verdicts
@@ -57,7 +57,7 @@ def judge(folder: Path) -> None:
 
 
 def contents_of(found: list[Contact]) -> ReportContents:
-    return report_contents(mission(), found, [], [], [], {"reader.pings": 3}, PictureCollector())
+    return report_contents(Shown(mission(), found, [], [], [], {"reader.pings": 3}, PictureCollector()))
 
 
 def test_what_a_report_was_drawn_from_comes_back(tmp_path: Path) -> None:

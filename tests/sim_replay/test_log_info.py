@@ -13,7 +13,8 @@ from auv_mcm.cli import main
 from auv_mcm.settings.config import Config
 from sim_replay.log_info import describe
 from sim_replay.logs.xtf_writer import write_xtf
-from tests.sim_replay.logs.sonar_logs import mission, run_of, write_jsf, write_session, write_svlog
+from sim_replay.wire_logs import write_jsf, write_session, write_svlog
+from tests.sim_replay.logs.sonar_logs import mission, run_of
 from tests.sim_replay.logs.xtf_logs import edit_headers
 
 

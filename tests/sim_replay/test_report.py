@@ -16,7 +16,7 @@ import pytest
 
 from auv_mcm.records import NAN, Notice
 from sim_replay.report import PictureCollector, render_report, write_report
-from sim_replay.report.page import MAX_CARDS, MAX_ROWS
+from sim_replay.report.page import MAX_CARDS, MAX_ROWS, Shown
 from sim_replay.report.pictures import MAX_JPEG_BYTES
 from sim_replay.report.report_words import (
     area,
@@ -48,11 +48,11 @@ def full_page(**changes: Any) -> str:
         "counters": {"ping.gap": 2, "reader.pings": 461, "detect.over_budget": 0},
         "pictures": collected(),
     }
-    return render_report(**(given | changes))
+    return render_report(Shown(**(given | changes)))
 
 
 def test_the_page_is_well_formed_and_needs_nothing_but_itself(tmp_path: Path) -> None:
-    write_report(tmp_path / "report.html", mission(), [contact()], [], waypoints(), [], {}, collected())
+    write_report(tmp_path / "report.html", Shown(mission(), [contact()], [], waypoints(), [], {}, collected()))
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
     page = Page(text)
     assert page.sources
@@ -69,7 +69,7 @@ def test_the_page_is_well_formed_and_needs_nothing_but_itself(tmp_path: Path) ->
 
 def test_the_summary_is_one_page_without_script_that_lists_the_likeliest(tmp_path: Path) -> None:
     contacts = [contact(f"C{number:05d}", 0.9 - 0.01 * number) for number in range(1, 21)] + [contact("C00021", 0.1)]
-    write_report(tmp_path / "report.html", mission(name="<b>"), contacts, [], waypoints(), [], {}, collected())
+    write_report(tmp_path / "report.html", Shown(mission(name="<b>"), contacts, [], waypoints(), [], {}, collected()))
     text = (tmp_path / "one-page.html").read_text(encoding="utf-8")
     page = Page(text)
     assert "script" not in page.tags
@@ -164,13 +164,15 @@ def test_hostile_names_stay_text(name: str, tmp_path: Path) -> None:
     notices = [Notice(code=name, text=name, place=name)]
     write_report(
         tmp_path / "r.html",
-        mission(name=name, logs=(name,), config_yaml=name),
-        [hostile],
-        [],
-        waypoints(),
-        notices,
-        {name: 1},
-        collected(1),
+        Shown(
+            mission(name=name, logs=(name,), config_yaml=name),
+            [hostile],
+            [],
+            waypoints(),
+            notices,
+            {name: 1},
+            collected(1),
+        ),
     )
     page = Page((tmp_path / "r.html").read_text(encoding="utf-8"))
     assert page.tags.count("script") == 1
@@ -196,7 +198,7 @@ def judged_page(tmp_path: Path, said: str) -> list[Page]:
         verdict(2, 55.001, call="mine_like", comment=said),
         verdict(3, 55.01, call="mine_like", drawn=True, type=said, comment=said),
     )
-    write_report(tmp_path / "r.html", mission(verdicts=verdicts), contacts, [], [], [], {}, collected(1))
+    write_report(tmp_path / "r.html", Shown(mission(verdicts=verdicts), contacts, [], [], [], {}, collected(1)))
     return [Page((tmp_path / name).read_text(encoding="utf-8")) for name in ("r.html", "one-page.html")]
 
 
@@ -229,7 +231,7 @@ def test_a_crowd_is_one_structure_and_what_is_called_keeps_its_line(tmp_path: Pa
         for n in range(1, 11)
     ]
     far = [contact("C0011", 0.05, latitude_deg=55.01, classification="clutter", views=())]
-    write_report(tmp_path / "r.html", mission(), [*crowd, *far], [], [], [], {}, collected(1))
+    write_report(tmp_path / "r.html", Shown(mission(), [*crowd, *far], [], [], [], {}, collected(1)))
     text = (tmp_path / "r.html").read_text(encoding="utf-8")
     report, summary = Page(text), Page((tmp_path / "one-page.html").read_text(encoding="utf-8"))
     assert report.ids.count("S001") == 1
@@ -260,7 +262,7 @@ def test_a_mission_without_anything_gives_a_proper_page() -> None:
         config_yaml="",
         costs={},
     )
-    page = Page(render_report(nothing, [], [], [], [], {}, PictureCollector()))
+    page = Page(render_report(Shown(nothing, [], [], [], [], {}, PictureCollector())))
     for expected in (
         "no time was recorded",
         "No position was recorded",

@@ -21,7 +21,7 @@ from auv_mcm.classify.evidence import ClassEvidence, view_mass
 from auv_mcm.confirm.region import HIGHLIGHT, SHADOW
 from auv_mcm.records import NAN, Confirmation, Contact, ContactClass, Detection, ShapeModel, Side
 from auv_mcm.snippet import pack_snippet
-from sim_replay.report import PictureCollector, render_report
+from sim_replay.report import PictureCollector, Shown, render_report
 from sim_replay.report.panels import view_picture
 from sim_replay.report.report_words import agreement, evidence_words, listed, model_sizes, plus_minus
 from tests.auv_mcm.classify import drawn_looks
@@ -80,7 +80,7 @@ def confirmed(p_mine: float = 0.9, views: tuple[Detection, ...] | None = None, *
 
 
 def page(*contacts: Contact) -> str:
-    return render_report(mission(), contacts, [], [], [], {}, PictureCollector())
+    return render_report(Shown(mission(), contacts, [], [], [], {}, PictureCollector()))
 
 
 def read(*contacts: Contact) -> str:

@@ -10,7 +10,8 @@ from auv_mcm.cli import main
 from drivers.recording.session_layout import file_name
 from sim_replay.logs.session_parts import recordings_of
 from sim_replay.verdicts import VERDICTS_FILE, Verdict, append_verdict
-from tests.sim_replay.logs.sonar_logs import run_of, write_session
+from sim_replay.wire_logs import write_session
+from tests.sim_replay.logs.sonar_logs import run_of
 
 
 def test_a_session_that_still_runs_has_a_report_and_keeps_its_files(tmp_path: Path) -> None:

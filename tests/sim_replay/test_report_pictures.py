@@ -14,7 +14,7 @@ from auv_mcm.contacts.contact_picture import COLOURS, display_levels, snippet_pi
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import LOW_RESOLUTION, NAN, TURN, VALID, CoveragePatch, Side
 from auv_mcm.snippet import pack_snippet
-from sim_replay.report import PictureCollector, render_report
+from sim_replay.report import PictureCollector, Shown, render_report
 from sim_replay.report.chart import WIDTH, draw_chart
 from sim_replay.report.report_words import (
     explained_counters,
@@ -52,7 +52,7 @@ def test_strips_show_port_left_and_later_pings_above() -> None:
 
 def test_boxes_lie_on_the_echo_they_frame() -> None:
     seen = contact(views=(detection("port", row=100.0, column=150.0), detection("starboard", row=20.0, column=50.0)))
-    text = render_report(mission(), [seen], [], [], [], {}, collected(3))
+    text = render_report(Shown(mission(), [seen], [], [], [], {}, collected(3)))
     boxes = re.findall(r'class="box [^>]*style="left:([\d.]+)%;top:([\d.]+)%;width:([\d.]+)%;height:([\d.]+)%"', text)
     centres = {(float(left) + float(width) / 2.0, float(top) + float(tall) / 2.0) for left, top, width, tall in boxes}
     expected = {
@@ -85,7 +85,7 @@ def test_a_turn_is_marked_beside_the_picture_and_hides_nothing_of_it() -> None:
     (strip,) = pictures.strips()
     ((start_m, stop_m),) = strip.turns_m
     assert (start_m, stop_m) == pytest.approx((10 * ROW_M, 30 * ROW_M))
-    text = render_report(mission(), [], [], [], [], {}, pictures)
+    text = render_report(Shown(mission(), [], [], [], [], {}, pictures))
     (bar,) = re.findall(r'class="turn" style="top:([\d.]+)%;height:([\d.]+)%"', text)
     assert [float(part) for part in bar] == pytest.approx([100.0 * 34 / 64, 100.0 * 20 / 64], abs=0.01)
 
@@ -97,7 +97,7 @@ def test_a_gap_between_tiles_is_marked_with_its_length() -> None:
     strips = pictures.strips()
     lost_m = sum(stop - start for strip in strips for start, stop in strip.gaps_m)
     assert lost_m == pytest.approx(128 * ROW_M)
-    assert "no data, " in render_report(mission(), [], [], [], [], {}, pictures)
+    assert "no data, " in render_report(Shown(mission(), [], [], [], [], {}, pictures))
 
 
 def test_strips_follow_each_other_and_a_strip_without_data_is_left_out() -> None:
@@ -161,7 +161,7 @@ def test_tiles_without_rows_times_or_pings_have_no_time_and_leave_no_nan_on_the_
         )
     )
     assert [values.size for values in pictures.times()] == [0, 0]
-    assert "nan" not in Page(render_report(mission(), [], [], [], [], {}, pictures)).text
+    assert "nan" not in Page(render_report(Shown(mission(), [], [], [], [], {}, pictures))).text
 
 
 @pytest.mark.parametrize("side", ["port", "starboard"])
@@ -188,7 +188,7 @@ def test_contact_pictures_are_png_with_square_pixels_of_the_finer_spacing() -> N
 def test_pictures_of_very_many_contacts_stop_before_the_page_is_too_big() -> None:
     noise = np.random.default_rng(2).gamma(1.0, 1.0, (160, 320)).astype(np.float32)
     many = [contact(f"C{number:04d}", 0.9, views=(detection(snippet=pack_snippet(noise)),)) for number in range(120)]
-    text = render_report(mission(), many, [], [], [], {}, PictureCollector())
+    text = render_report(Shown(mission(), many, [], [], [], {}, PictureCollector()))
     assert len(text) < 2_500_000
     assert "see snippets/C0099.png" in text
     assert all(f'id="{each.id}"' in text for each in many)

@@ -26,6 +26,7 @@ from auv_mcm.records import Side
 from auv_mcm.safe_files import open_regular, read_regular
 from auv_mcm.shell.whole_files import write_file
 from sim_replay.fitting.cascade.tiles import LabelledTile, Origin, Split, TileObject
+from sim_replay.text_tables import json_lines
 
 FORMAT_VERSION: Final = 1  # of the set; a change of its fields raises it
 MANIFEST_NAME: Final = "manifest.json"
@@ -137,10 +138,7 @@ def write_set(folder: Path, packed: Iterable[Packed], made_from: dict[str, Any])
     manifest = Manifest(
         format_version=FORMAT_VERSION, made_from=made_from, shards=tuple(shards), sha256=_digest(shards)
     )
-    write_file(
-        folder / MANIFEST_NAME,
-        msgspec.json.format(msgspec.json.encode(manifest, order="deterministic"), indent=1) + b"\n",
-    )
+    write_file(folder / MANIFEST_NAME, json_lines(manifest, "deterministic"))
     return manifest
 
 

@@ -9,7 +9,6 @@ from functools import partial
 from itertools import pairwise
 from typing import Final, NamedTuple
 
-import msgspec
 import numpy as np
 
 from auv_mcm.clearance.detection_performance import FLOORS, Band, Performance
@@ -59,11 +58,6 @@ def performance_fit_words(seeds: range, flights: int, looks: Sequence[CellPass])
         f"{len(looks)} looks at {n_targets} targets in {n_missions} simulated missions: seeds {seeds[0]} to "
         f"{seeds[-1]}, {flights} each"
     )
-
-
-def performance_json(performance: Performance) -> bytes:
-    """Write detection performance as JSON."""
-    return msgspec.json.format(msgspec.json.encode(performance, order="deterministic"), indent=1) + b"\n"
 
 
 def tables(performance: Performance) -> str:

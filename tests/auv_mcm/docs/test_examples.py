@@ -15,7 +15,8 @@ import pytest
 
 from sim_replay.simulate import simulate
 from sim_replay.simulator.scene_file import parse_scene
-from tests.sim_replay.logs.sonar_logs import run_of, write_session
+from sim_replay.wire_logs import write_session
+from tests.sim_replay.logs.sonar_logs import run_of
 
 ROOT: Final = Path(__file__).parents[3]
 PAGE: Final = ROOT / "auv_mcm" / "docs" / "examples.md"

@@ -9,7 +9,6 @@ from auv_mcm.contacts.background import BIN_NATS, KNOTS_NATS, LEVELS_NATS, inter
 from auv_mcm.errors import UsageError
 from sim_replay.fitting.fit_background import (
     SortedContacts,
-    background_json,
     background_tasks,
     fit_prior,
     fitted_model,
@@ -17,6 +16,7 @@ from sim_replay.fitting.fit_background import (
     left_out,
 )
 from sim_replay.missions import HELD_OUT
+from sim_replay.text_tables import json_lines
 
 MEAN = np.array([7.0, 6.3, 5.5, 4.4, 3.0, 0.5])
 
@@ -65,7 +65,7 @@ def test_a_model_is_read_back_as_it_was_written() -> None:
     tasks = background_tasks([7])
     assert {task[0] for task in tasks}.isdisjoint(HELD_OUT)
     model = fitted_model(tasks, [drawn_mission(number, task[0]) for number, task in enumerate(tasks)])
-    assert parse_background(background_json(model).encode(), "here") == model
+    assert parse_background(json_lines(model), "here") == model
     assert "seeds 7" in model.fitted_on
     assert len(model.left_out) == len({task[0] for task in tasks})
 

@@ -10,7 +10,8 @@ import pytest
 from auv_mcm.classify.size_evidence import parse_size_model, shipped_size_model
 from auv_mcm.errors import UsageError
 from auv_mcm.kernels.shape import Solid
-from sim_replay.fitting.fit_sizes import CLEAR_NATS, SizedLook, fit_sizes, size_model_json, true_log_sizes
+from sim_replay.fitting.fit_sizes import CLEAR_NATS, SizedLook, fit_sizes, true_log_sizes
+from sim_replay.text_tables import json_lines
 
 N_SIZES: dict[Solid, int] = {"cylinder": 2, "sphere": 1, "truncated_cone": 2, "wedge": 1}
 TEMPER, SLOPE, OFFSET, SD, ASTRAY = 10.0, 0.8, -0.1, 0.1, 0.25
@@ -47,7 +48,7 @@ def test_the_law_that_looks_were_drawn_from_is_found_again() -> None:
             )
             assert law.astray == pytest.approx(ASTRAY, abs=0.12)
     assert model.temper == pytest.approx(TEMPER, rel=0.15)
-    assert parse_size_model(size_model_json(model).encode(), "drawn") == model
+    assert parse_size_model(json_lines(model), "drawn") == model
 
 
 def test_too_few_looks_are_refused() -> None:

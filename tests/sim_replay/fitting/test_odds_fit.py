@@ -23,8 +23,9 @@ from sim_replay.fitting.fit_odds import (
     StepTable,
     crowded,
     examples_along,
-    fit_odds,
+    fit_table,
     log_odds_of,
+    look_table,
 )
 from sim_replay.missions import HELD_OUT, SCENES
 from sim_replay.simulator.objects import place_objects
@@ -43,7 +44,7 @@ def example(features: dict[str, float], is_target: bool, weight: float = 1.0, us
 
 def fit(examples: Sequence[Example], fitted_on: str) -> MineOdds:
     """Sums alone, of which it is known what they must be."""
-    return fit_odds(examples, fitted_on, dict.fromkeys(N_TREES, 0))
+    return fit_table(look_table(examples), fitted_on, dict.fromkeys(N_TREES, 0))
 
 
 def drawn(n: int, seed: int, weights: Sequence[float] = (1.0,)) -> list[Example]:
@@ -184,7 +185,7 @@ def test_trees_weigh_what_a_sum_misses_and_details_as_well() -> None:
         example({"a": a}, bool(target))._replace(details={step: {"d": d} for step in N_TREES})
         for (a, d), target in zip(values.tolist(), is_target.tolist(), strict=True)
     ]
-    odds = fit_odds(examples, "a bump", {"detector": 0, "contours": 5, "shape": 80})
+    odds = fit_table(look_table(examples), "a bump", {"detector": 0, "contours": 5, "shape": 80})
     assert [len(step.trees) for step in (odds.detector, odds.contours, odds.shape)] == [0, 5, 80]
     right = [
         (odds.shape.log_odds(item.shape | item.details["shape"]) > odds.prior) == item.is_target for item in examples

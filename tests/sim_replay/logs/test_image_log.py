@@ -28,16 +28,9 @@ from sim_replay.logs.open_log import describe_log, kind_doubt, logs_config, open
 from sim_replay.logs.recorded import open_mission
 from sim_replay.logs.transverse_mercator import utm_to_geodetic
 from sim_replay.logs.xtf_writer import write_xtf
+from sim_replay.wire_logs import write_jsf, write_session, write_svlog
 from tests.sim_replay.logs.image_writer import write_images
-from tests.sim_replay.logs.sonar_logs import (
-    apart_m,
-    contacts_of,
-    mission,
-    run_of,
-    write_jsf,
-    write_session,
-    write_svlog,
-)
+from tests.sim_replay.logs.sonar_logs import apart_m, contacts_of, mission, run_of
 
 N_LINES, N_PIXELS = 40, 64
 SAS = Config(sonar=SonarConfig(kind="sas"))

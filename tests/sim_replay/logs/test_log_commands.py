@@ -11,15 +11,8 @@ from auv_mcm.cli import main
 from auv_mcm.records import Ping
 from drivers.recording.session_layout import file_name
 from sim_replay.fakes.feed import mission_events
-from tests.sim_replay.logs.sonar_logs import (
-    SonarKind,
-    live_contacts,
-    mission,
-    run_of,
-    write_jsf,
-    write_session,
-    write_svlog,
-)
+from sim_replay.wire_logs import write_jsf, write_session, write_svlog
+from tests.sim_replay.logs.sonar_logs import SonarKind, live_contacts, mission, run_of
 
 
 @pytest.fixture(scope="module")

@@ -24,21 +24,18 @@ from drivers.framing import Framer
 from drivers.recording.session_layout import file_name
 from drivers.sonar.jsf import JsfGrammar
 from drivers.sonar.jsf_messages import SideScanData, Validity, decode_data, encode_data
-from drivers.sonar.ping_messages import NMEA_WRAPPER, PingMessage
-from drivers.sonar.ping_messages import to_wire as ping_wire
 from sim_replay.logs.open_log import find_format, is_session, open_log
 from sim_replay.logs.recorded import RecordedMission, open_mission
 from sim_replay.logs.xtf_writer import write_xtf
+from sim_replay.wire_logs import Run, jsf_string, nmea_packet, svlog_head, write_jsf, write_session
 from tests.sim_replay.logs.sonar_logs import (
     ECHO_S,
     UTC_S,
     WRITERS,
-    Run,
     SonarKind,
     apart_m,
     bytes_of,
     contacts_of,
-    jsf_string,
     live_contacts,
     live_events,
     mission,
@@ -46,9 +43,6 @@ from tests.sim_replay.logs.sonar_logs import (
     replayed,
     run_of,
     stamp_at,
-    svlog_head,
-    write_jsf,
-    write_session,
     written,
 )
 
@@ -122,7 +116,7 @@ def with_header_navigation(run: Run, navigation: str = "{}") -> Run:
         wire = encode_data(SideScanData(header, data.values), message.subsystem, message.channel, message.sequence)
         changed.append(recorded._replace(data=wire))
     text = f"ports: [{{name: sonar, link: 'tcp://192.168.2.92:1601', device: jsf, navigation: {navigation}}}]"
-    return Run(parse_config(text, "vehicle.yaml"), tuple(changed))
+    return run._replace(config=parse_config(text, "vehicle.yaml"), recorded=tuple(changed))
 
 
 def test_navigation_in_the_sonars_messages_gives_the_contacts_of_the_live_run(tmp_path: Path) -> None:
@@ -310,7 +304,7 @@ def test_navigation_before_the_first_ping_is_kept_within_bounds(tmp_path: Path) 
     whole = written("ping_protocol", tmp_path / "whole").read_bytes()
     head = svlog_head(UTC_S)
     path = tmp_path / "log"
-    path.write_bytes(head + ping_wire(PingMessage(NMEA_WRAPPER, b"$GPHDT,12.0,T*08\r\n")) * 1000 + whole[len(head) :])
+    path.write_bytes(head + nmea_packet(b"$GPHDT,12.0,T*08\r\n") * 1000 + whole[len(head) :])
     log = open_log(path, Config())
     assert len(pings(iter(log))) == 212
     assert log.counters["reader.navigation_dropped"] >= 744

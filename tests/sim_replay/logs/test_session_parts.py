@@ -27,7 +27,8 @@ from sim_replay.logs.archive import logs_of
 from sim_replay.logs.open_log import logs_config, open_log
 from sim_replay.logs.recorded import open_mission
 from sim_replay.view.show import open_shown
-from tests.sim_replay.logs.sonar_logs import Run, contacts_of, live_events, run_of
+from sim_replay.wire_logs import Run, write_session
+from tests.sim_replay.logs.sonar_logs import contacts_of, live_events, run_of
 
 
 class Cut(NamedTuple):
@@ -44,7 +45,7 @@ def write_parts(run: Run, folder: Path, cuts: Sequence[Cut]) -> list[Run]:
     (folder / JOURNAL).touch()
     parts, first = [], 0
     for number, cut in enumerate((*cuts, Cut(len(run.recorded), True)), 1):
-        part = Run(run.config, run.recorded[first : cut.after])
+        part = run._replace(recorded=run.recorded[first : cut.after])
         first = cut.after + cut.n_skipped
         parts.append(part)
         started = run.recorded[min(first, len(run.recorded) - 1)].stamp
@@ -200,19 +201,11 @@ def test_a_start_with_another_link_is_decoded_with_its_own(tmp_path: Path) -> No
     run = run_of("jsf")
     parts = write_parts(run, tmp_path, [cut := Cut(300)])
     serial = structs.replace(run.config.ports[1], link="serial:///dev/ttyS0?baud=4800")
-    changed = structs.replace(run.config, ports=(run.config.ports[0], serial))
+    again = parts[1]._replace(config=structs.replace(run.config, ports=(run.config.ports[0], serial)))
     (tmp_path / "recording-2" / file_name(0)).unlink()
-    description = SessionDescription(
-        version="0.1.0", started=run.recorded[300].stamp, config_yaml=config_yaml(changed), ports=()
-    )
-    writer = SessionWriter(tmp_path / "recording-2", description, reserve_bytes=0)
-    for recorded in parts[1].recorded:
-        writer.add(recorded)
-    writer.close()
+    write_session(again, tmp_path / "recording-2")
     found = list(open_log(tmp_path, logs_config([tmp_path]) or Config()))
-    assert without_reading_notices(found) == without_reading_notices(
-        as_live([parts[0], Run(changed, parts[1].recorded)], [cut])
-    )
+    assert without_reading_notices(found) == without_reading_notices(as_live([parts[0], again], [cut]))
     assert without_reading_notices(found) != without_reading_notices(as_live(parts, [cut]))
 
 

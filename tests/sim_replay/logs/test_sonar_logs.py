@@ -24,8 +24,8 @@ from drivers.sonar.ping_messages import to_wire as ping_wire
 from drivers.sonar.ping_protocol import PingGrammar
 from sim_replay.logs.open_log import open_log
 from sim_replay.logs.recorded import open_mission
+from sim_replay.wire_logs import jsf_time, svlog_head
 from tests.sim_replay.logs.sonar_logs import (
-    JSF_TIME,
     UTC_S,
     apart_m,
     bytes_of,
@@ -37,7 +37,6 @@ from tests.sim_replay.logs.sonar_logs import (
     replayed,
     run_of,
     stamp_at,
-    svlog_head,
     written,
 )
 
@@ -106,8 +105,7 @@ def test_a_jsf_log_without_side_scan_is_rejected_with_its_contents(tmp_path: Pat
 def test_pitch_and_roll_of_the_motion_sensor_serve_where_nothing_else_gives_them(tmp_path: Path) -> None:
     def motion(at_s: float) -> bytes:
         body = bytearray(44)
-        seconds, nanoseconds = divmod(stamp_at(at_s).utc_ns, 1_000_000_000)
-        body[:12] = JSF_TIME.pack(seconds, nanoseconds // 1_000_000)
+        body[:12] = jsf_time(stamp_at(at_s))
         struct.pack_into(
             "<hh6xHI", body, 24, round(3.0 / 180 * 32768), round(-5.0 / 180 * 32768), 12_345, 1 << 6 | 1 << 7 | 1 << 9
         )

@@ -11,10 +11,11 @@ import pytest
 from auv_mcm.clearance.detection_performance import FLOORS, Band, Floor, Performance, parse_performance
 from auv_mcm.cli import main
 from sim_replay.fitting.detection_performance import calibrate_performance as calibrate
-from sim_replay.fitting.detection_performance.calibrate_performance import Flight, performance_json
+from sim_replay.fitting.detection_performance.calibrate_performance import Flight
 from sim_replay.fitting.detection_performance.looks import CellPass
 from sim_replay.fitting.detection_performance.performance_missions import target_scene
 from sim_replay.fitting.theatre import Theatre
+from sim_replay.text_tables import json_lines
 
 P = {"flat": 0.8, "ripple_across": 0.2, "ripple_oblique": 0.5, "ripple_along": 0.4, "rough": 0.3, "vegetation": 0.1}
 SEABED = (0, 1, 1, 1, 2, 3)  # of FLOORS
@@ -114,4 +115,4 @@ def test_scenes_are_full_of_targets_that_keep_apart_and_differ_by_seed_and_fligh
 
 
 def test_tables_in_json_are_the_same_bytes_each_time() -> None:
-    assert performance_json(tables()) == performance_json(parse_performance(performance_json(tables()), "here"))
+    assert json_lines(tables()) == json_lines(parse_performance(json_lines(tables()), "here"))

@@ -18,7 +18,6 @@ from auv_mcm.errors import BadInputError
 from auv_mcm.records import SEABED_TYPES
 from sim_replay.fitting.detection_performance.calibrate_performance import (
     performance_fit_words,
-    performance_json,
     sweep_widths_m,
     tables,
 )
@@ -38,6 +37,7 @@ from sim_replay.fitting.detection_performance.fit_performance import (
     smooth_bands,
 )
 from sim_replay.fitting.detection_performance.looks import CellPass
+from sim_replay.text_tables import json_lines
 
 Array = NDArray[np.float64]
 
@@ -175,7 +175,7 @@ def test_the_fit_matches_the_world_and_can_be_written() -> None:
     truth = {"flat": 0.8, "ripple": 0.5, "rough": 0.3, "vegetation": 0.15}
     looks = world(truth)
     reported = fit_performance(looks, performance_fit_words(range(800, 802), 6, looks))
-    assert parse_performance(performance_json(reported), "here") == reported
+    assert parse_performance(json_lines(reported), "here") == reported
     assert reported.fitted_on == "2880 looks at 2880 targets in 12 simulated missions: seeds 800 to 801, 6 each"
     for kind, p in truth.items():
         for ground_m in (15.0, 25.0, 35.0, 45.0):
