@@ -54,6 +54,11 @@ class AsciiDecoder(ABC):
         """Return the vehicle's state by a record of the table, None if it has none."""
 
 
-def above_zero(value: float) -> float:
-    """Return NaN for zero, which units report where they measured nothing."""
-    return value if value > 0.0 else NAN
+def state_of(record: Any, received: Stamp, **apart: float) -> ReportedState:
+    """Take the numbers that a record has under the names of the state; apart: what came in sentences of its own.
+
+    An altitude of zero is NaN: units report it where they measured nothing.
+    """
+    stated = {name: apart.get(name, getattr(record, name, NAN)) for name in ReportedState._fields[1:]}
+    stated["altitude_m"] = record.altitude_m if record.altitude_m > 0.0 else NAN
+    return ReportedState(received, **stated)

@@ -9,7 +9,7 @@ from auv_mcm.clock import Stamp
 from auv_mcm.records import NAN
 from auv_mcm.settings.vehicle_settings import BluefinSettings
 from drivers.vehicle.bluefin_sentences import BluefinGrammar, BluefinPosition, BluefinVelocity, table_of
-from drivers.vehicle.decoders.ascii_decoder import AsciiDecoder, above_zero
+from drivers.vehicle.decoders.ascii_decoder import AsciiDecoder, state_of
 from drivers.vehicle.dialect import ReportedState
 
 _VELOCITY_VALID_NS: Final = 2_000_000_000  # velocities come about once a second, in sentences of their own
@@ -30,14 +30,4 @@ class BluefinDecoder(AsciiDecoder):
         speed_mps = NAN
         if self._velocity is not None and received.mono_ns - self._velocity[1] < _VELOCITY_VALID_NS:
             speed_mps = math.hypot(self._velocity[0].east_mps, self._velocity[0].north_mps)
-        return ReportedState(
-            received=received,
-            latitude_deg=record.latitude_deg,
-            longitude_deg=record.longitude_deg,
-            heading_rad=record.heading_rad,
-            pitch_rad=record.pitch_rad,
-            roll_rad=record.roll_rad,
-            depth_m=record.depth_m,
-            altitude_m=above_zero(record.altitude_m),
-            speed_mps=speed_mps,
-        )
+        return state_of(record, received, speed_mps=speed_mps)

@@ -7,7 +7,7 @@ from typing import Any, Final
 from auv_mcm.clock import Stamp
 from auv_mcm.records import NAN
 from auv_mcm.settings.vehicle_settings import IverSettings
-from drivers.vehicle.decoders.ascii_decoder import AsciiDecoder, above_zero
+from drivers.vehicle.decoders.ascii_decoder import AsciiDecoder, state_of
 from drivers.vehicle.dialect import ReportedState
 from drivers.vehicle.iver_sentences import IverCompass, IverGrammar, IverState, table_of
 
@@ -29,14 +29,4 @@ class IverDecoder(AsciiDecoder):
         pitch_rad = roll_rad = NAN
         if self._compass is not None and received.mono_ns - self._compass[1] < _COMPASS_VALID_NS:
             pitch_rad, roll_rad = self._compass[0].pitch_rad, self._compass[0].roll_rad
-        return ReportedState(
-            received=received,
-            latitude_deg=record.latitude_deg,
-            longitude_deg=record.longitude_deg,
-            heading_rad=record.heading_rad,
-            pitch_rad=pitch_rad,
-            roll_rad=roll_rad,
-            depth_m=record.depth_m,
-            altitude_m=above_zero(record.altitude_m),
-            speed_mps=record.speed_mps,
-        )
+        return state_of(record, received, pitch_rad=pitch_rad, roll_rad=roll_rad)

@@ -6,7 +6,7 @@ from typing import Any
 
 from auv_mcm.clock import Stamp
 from auv_mcm.settings.vehicle_settings import ReconSettings
-from drivers.vehicle.decoders.ascii_decoder import AsciiDecoder, above_zero
+from drivers.vehicle.decoders.ascii_decoder import AsciiDecoder, state_of
 from drivers.vehicle.dialect import ReportedState
 from drivers.vehicle.recon_sentences import ReconGrammar, ReconState, table_of
 
@@ -20,14 +20,4 @@ class ReconDecoder(AsciiDecoder):
     def _state(self, record: Any, received: Stamp) -> ReportedState | None:
         if not isinstance(record, ReconState):
             return None
-        return ReportedState(
-            received=received,
-            latitude_deg=record.latitude_deg,
-            longitude_deg=record.longitude_deg,
-            heading_rad=record.heading_rad,
-            pitch_rad=record.pitch_rad,
-            roll_rad=record.roll_rad,
-            depth_m=record.depth_m,
-            altitude_m=above_zero(record.altitude_m),
-            speed_mps=record.speed_mps,
-        )
+        return state_of(record, received)
