@@ -36,7 +36,7 @@ from sim_replay.fakes.vehicles.iver import FakeIver
 from sim_replay.fakes.vehicles.recon import FakeRecon
 from tests.auv_mcm.classify import drawn_looks
 from tests.drivers.port_traffic import Collected, MemoryWire, config_of
-from tests.make.records import nav_of
+from tests.make.records import nav_of, waypoint_of
 
 GENEROUS_S = 15.0
 VEHICLE = "vehicle: {command: true, fence_deg: [[42.99, 4.99], [42.99, 5.01], [43.01, 5.01], [43.01, 4.99]]}\n"
@@ -152,12 +152,7 @@ def contact(number: int, p_mine: float = 0.9) -> Contact:
 
 def plan() -> tuple[Waypoint, ...]:
     places = [("start", 43.0), ("leg_entry", 43.0005), ("leg_exit", 43.001)]
-    return tuple(
-        Waypoint(
-            leg=1, kind=kind, latitude_deg=latitude_deg, longitude_deg=5.0, heading_rad=0.0, contact_id="C00001", why=""
-        )
-        for kind, latitude_deg in places
-    )
+    return tuple(waypoint_of(kind, latitude_deg, 5.0) for kind, latitude_deg in places)
 
 
 def test_every_vehicle_that_a_configuration_may_name_has_its_dialect_and_a_section_called_like_it() -> None:
@@ -222,18 +217,6 @@ def test_a_plan_is_flown_when_it_is_granted_and_control_goes_back_even_after_the
     )
     assert not bench.controller.in_control
     assert bench.source.counters()["vehicle.granted"] == 1
-
-
-@each_dialect
-def test_a_vehicle_that_does_not_want_to_keeps_its_own_plan(text: str, make: Callable[[], FakeController[Any]]) -> None:
-    bench = Bench(text, make())
-    bench.controller.willing = False
-    bench.run(
-        bench.is_heard,
-        lambda: bench.vehicle.propose(plan()),
-        lambda: bench.vehicle.authority in ("requested", "revoked"),
-    )
-    assert bench.controller.command is None
 
 
 def test_after_the_wire_was_pulled_what_was_not_acknowledged_is_reported_and_once_only() -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.geometry.geodesy import LocalFrame
-from auv_mcm.records import NAN, VALID, CoveragePatch, NavSample, PoseTrack, SurveyedCells, Tile
+from auv_mcm.records import NAN, VALID, CoveragePatch, NavSample, PoseTrack, SurveyedCells, Tile, Waypoint
 from drivers.vehicle.dialect import ContactReport
 
 ROW_M, COLUMN_M = 0.12, 0.06  # of tiles
@@ -78,6 +78,20 @@ def tile_with(intensity: NDArray[Any], mask: NDArray[np.uint8] | None = None, **
 def patch_of(**changes: Any) -> CoveragePatch:
     """What was covered by a tile of one second: nothing but what is given."""
     plain = CoveragePatch(side="port", tile_index=0, start_s=0.0, stop_s=1.0, rings_deg=(), covered_m2=0.0, lost_m2={})
+    return msgspec.structs.replace(plain, **changes)
+
+
+def waypoint_of(kind: str, latitude_deg: float, longitude_deg: float, leg: int = 1, **changes: Any) -> Waypoint:
+    """A waypoint of a leg northward past a contact."""
+    plain = Waypoint(
+        leg=leg,
+        kind=kind,
+        latitude_deg=latitude_deg,
+        longitude_deg=longitude_deg,
+        heading_rad=0.0,
+        contact_id="C00001",
+        why="",
+    )
     return msgspec.structs.replace(plain, **changes)
 
 

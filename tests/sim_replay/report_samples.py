@@ -15,7 +15,7 @@ from auv_mcm.records import NAN, Contact, Detection, Side, Tile, Waypoint
 from auv_mcm.snippet import pack_snippet
 from sim_replay.report import MissionRecord, PictureCollector
 from tests.auv_mcm.classify import drawn_looks
-from tests.make.records import pose_of, tile_with
+from tests.make.records import pose_of, tile_with, waypoint_of
 
 ROW_M, COLUMN_M = 0.12, 0.06
 START_S = 1_700_000_000.0
@@ -149,15 +149,7 @@ def mission(**changes: Any) -> MissionRecord:
 
 def waypoints() -> list[Waypoint]:
     return [
-        Waypoint(
-            leg=1,
-            kind=kind,
-            latitude_deg=55.0,
-            longitude_deg=12.0 + step,
-            heading_rad=0.0,
-            contact_id="C0001",
-            why="second look",
-        )
+        waypoint_of(kind, 55.0, 12.0 + step, contact_id="C0001", why="second look")
         for kind, step in (("start", 0.0), ("turn", 0.0003), ("leg_entry", 0.0006), ("leg_exit", 0.001))
     ]
 

@@ -24,7 +24,7 @@ from auv_mcm.records import NAN, Contact, CoveragePatch, Detection, Waypoint
 from auv_mcm.snippet import pack_snippet
 from tests.auv_mcm.classify import drawn_looks
 from tests.auv_mcm.contacts.whole_exports import contacts_csv, contacts_kml, coverage_geojson
-from tests.make.records import patch_of
+from tests.make.records import patch_of, waypoint_of
 
 KML = "{http://www.opengis.net/kml/2.2}"
 
@@ -408,15 +408,7 @@ def test_lines_are_cut_at_the_antimeridian_and_join_there() -> None:
 
 
 def waypoint(leg: int, kind: str, longitude: float) -> Waypoint:
-    return Waypoint(
-        leg=leg,
-        kind=kind,
-        latitude_deg=0.5,
-        longitude_deg=longitude,
-        heading_rad=-0.1,
-        contact_id="C0001",
-        why="a <second> look",
-    )
+    return waypoint_of(kind, 0.5, longitude, leg, heading_rad=-0.1, contact_id="C0001", why="a <second> look")
 
 
 def test_waypoints_come_in_order_with_one_line_per_leg_from_where_the_last_ended() -> None:

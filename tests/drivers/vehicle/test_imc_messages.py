@@ -31,6 +31,7 @@ from drivers.vehicle.imc_codec import (
 from drivers.vehicle.imc_contact import CLASSES, imc_contact_of, report_from_imc, target_of
 from drivers.vehicle.imc_messages import ImcMessage
 from drivers.vehicle.imc_wire import HEADER_BYTES, ImcPacket, packed, to_wire
+from tests.make.records import report_of
 
 NEEDS_IMCPY = pytest.mark.skipif(
     find_spec("imcpy") is None, reason="imcpy, the oracle, is not installed: pip install imcpy"
@@ -201,26 +202,18 @@ def test_long_texts_are_cut() -> None:
 
 
 def a_report(**changes: Any) -> ContactReport:
-    return msgspec.structs.replace(
-        ContactReport(
-            session=77,
-            number=3,
-            revision=2,
-            time_s=TIME_S,
-            latitude_deg=41.125,
-            longitude_deg=-8.75,
-            sigma_m=1.5,
-            p_mine=0.75,
-            classification="wedge",
-            belief={"wedge": 0.5, "clutter": 0.25, "unknown": 0.25},
-            n_views=2,
-            depth_m=18.5,
-            length_m=1.25,
-            width_m=0.5,
-            length_sigma_m=0.125,
-        ),
-        **changes,
-    )
+    known: dict[str, Any] = {
+        "time_s": TIME_S,
+        "latitude_deg": 41.125,
+        "longitude_deg": -8.75,
+        "classification": "wedge",
+        "belief": {"wedge": 0.5, "clutter": 0.25, "unknown": 0.25},
+        "depth_m": 18.5,
+        "length_m": 1.25,
+        "width_m": 0.5,
+        "length_sigma_m": 0.125,
+    }
+    return report_of(**{"revision": 2, "n_views": 2, **known, **changes})
 
 
 def test_a_report_goes_through_the_message_whole() -> None:

@@ -30,6 +30,7 @@ from drivers.vehicle.dialect import (
 from drivers.vehicle.pilot import Pilot
 from tests.drivers.vehicle.test_report_queue import contact as queued_contact
 from tests.drivers.vehicle.vehicle_on_paper import GOES_BY_ITSELF, IS_STEERED, PaperTalker, calls, stamp
+from tests.make.records import waypoint_of
 
 HOME_DEG = (54.0, 8.0)
 FENCE_DEG = tuple(
@@ -43,16 +44,7 @@ def settings(**changes: Any) -> VehicleConfig:
 
 
 def waypoint(leg: int, kind: str, place_m: Metres) -> Waypoint:
-    latitude_deg, longitude_deg = moved(*HOME_DEG, *place_m)
-    return Waypoint(
-        leg=leg,
-        kind=kind,
-        latitude_deg=latitude_deg,
-        longitude_deg=longitude_deg,
-        heading_rad=0.0,
-        contact_id="C00001",
-        why="",
-    )
+    return waypoint_of(kind, *moved(*HOME_DEG, *place_m), leg)
 
 
 def plan(*legs: tuple[Metres, Metres], start_m: Metres = (0.0, 0.0)) -> tuple[Waypoint, ...]:

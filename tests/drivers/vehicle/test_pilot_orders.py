@@ -13,7 +13,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
-from auv_mcm.records import NAN, Waypoint
+from auv_mcm.records import NAN
 from auv_mcm.settings.vehicle_settings import VehicleConfig
 from drivers.navigation.corrections import moved, offset_m
 from drivers.vehicle.dialect import (
@@ -30,6 +30,7 @@ from drivers.vehicle.dialect import (
 )
 from drivers.vehicle.pilot import Pilot
 from tests.drivers.vehicle.vehicle_on_paper import GOES_BY_ITSELF, IS_STEERED, PaperTalker, calls, stamp
+from tests.make.records import waypoint_of
 
 HOME_DEG: Final = (54.0, 8.0)
 # An L: the way from arm to arm leads through the outside.
@@ -230,15 +231,7 @@ class AnyOrder(RuleBasedStateMachine):
     def propose(self, places_m: list[tuple[float, float]]) -> None:
         kinds = ("start", "leg_entry", "leg_exit", "turn")
         plan = tuple(
-            Waypoint(
-                leg=1 + number // 3,
-                kind=kinds[number % 4],
-                latitude_deg=moved(*HOME_DEG, *place_m)[0],
-                longitude_deg=moved(*HOME_DEG, *place_m)[1],
-                heading_rad=0.0,
-                contact_id="C00001",
-                why="",
-            )
+            waypoint_of(kinds[number % 4], *moved(*HOME_DEG, *place_m), 1 + number // 3)
             for number, place_m in enumerate(places_m)
         )
         self.plan_s = self.now_s

@@ -6,13 +6,12 @@ import math
 from collections.abc import Callable
 from typing import Any
 
+import msgspec
 from hypothesis import strategies as st
 
 from auv_mcm.clock import Stamp
-from auv_mcm.records import NavSample
 from auv_mcm.settings.vehicle_settings import BluefinSettings, CanSettings, ImcSettings, IverSettings, ReconSettings
 from drivers.vehicle.dialect import (
-    ContactReport,
     GoTo,
     Granted,
     PayloadHealth,
@@ -27,6 +26,7 @@ from sim_replay.fakes.vehicles.imc import FakeImc
 from sim_replay.fakes.vehicles.iver import FakeIver
 from sim_replay.fakes.vehicles.recon import FakeRecon
 from sim_replay.fakes.vehicles.text_controller import TextController
+from tests.make.records import nav_of, report_of
 from tests.sim_replay.conversation import Conversation
 
 UTC_S = 1_700_000_000.0
@@ -44,8 +44,8 @@ PAIRS: dict[str, tuple[Callable[[], Conversation], Callable[[], Any]]] = {
 COMMANDS = (b"$BPRMB", b"$OMS,", b"#C,")
 CALLS = ("connected", "disconnected", "request", "request", "command", "command", "release", "report", "report_health")
 STEER = Steer(math.radians(123.0), Vertical("depth", 7.5), 1.5)
-POSE = NavSample(
-    time_s=UTC_S,
+POSE = nav_of(
+    UTC_S,
     latitude_deg=48.123456,
     longitude_deg=-5.654321,
     heading_rad=math.radians(275.3),
@@ -56,7 +56,7 @@ POSE = NavSample(
     speed_mps=1.6,
 )
 PLACE = GoTo(POSE.latitude_deg + 0.002, POSE.longitude_deg, Vertical("depth", 7.5), 1.5, 3.0)
-REPORT = ContactReport(
+REPORT = report_of(
     session=1_700_000_123,
     number=17,
     revision=2,
@@ -100,9 +100,7 @@ class Loop:
 
     def step(self) -> None:
         self.now_s += STEP_S
-        sample = NavSample(
-            **{**{name: getattr(self.pose, name) for name in self.pose.__struct_fields__}, "time_s": UTC_S + self.now_s}
-        )
+        sample = msgspec.structs.replace(self.pose, time_s=UTC_S + self.now_s)
         if self.steer is not None and self.granted and round(self.now_s / STEP_S) % 10 == 0:
             self.dialect.command(self.steer, self.now_s)
         self._hear(self.vehicle.tick(sample, self.arrived, self.now_s))

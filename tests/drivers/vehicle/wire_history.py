@@ -17,12 +17,13 @@ from concurrent.futures import ProcessPoolExecutor
 from typing import Any, Final, NamedTuple
 
 from auv_mcm.clock import Stamp
-from auv_mcm.records import NavSample, Waypoint
+from auv_mcm.records import NavSample
 from auv_mcm.settings.vehicle_settings import ImcSettings, VehicleConfig
 from drivers.vehicle.pilot import Pilot
 from drivers.vehicle.vehicles import VEHICLES, decoder_of, talker_of
 from sim_replay.fakes.vehicle_device import CONTROLLERS
 from tests.drivers.vehicle.wire_parser import Sent, commands_of
+from tests.make.records import waypoint_of
 
 FLOOR_M: Final = 18.0
 SHALLOWEST_M: Final = 8.0  # floor of a history
@@ -136,18 +137,7 @@ class Voyage:
 
     def propose(self) -> None:
         kinds = (("start", 0.0), ("leg_entry", 60.0), ("leg_exit", 110.0))
-        plan = tuple(
-            Waypoint(
-                leg=1,
-                kind=kind,
-                latitude_deg=HOME_DEG[0] + north_m / M_PER_DEG,
-                longitude_deg=HOME_DEG[1],
-                heading_rad=0.0,
-                contact_id="C00001",
-                why="",
-            )
-            for kind, north_m in kinds
-        )
+        plan = tuple(waypoint_of(kind, HOME_DEG[0] + north_m / M_PER_DEG, HOME_DEG[1]) for kind, north_m in kinds)
         self.pilot.propose(plan, self.now_s)
 
     def run(self, for_s: float, **reported: float) -> None:

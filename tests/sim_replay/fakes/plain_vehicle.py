@@ -6,6 +6,7 @@ from collections import Counter
 
 from auv_mcm.records import NavSample
 from drivers.vehicle.dialect import Command, ContactReport, GoTo, Vertical
+from tests.make.records import report_of
 
 FORGETS_S = 0.5
 
@@ -86,17 +87,5 @@ class PlainController:
             return
         self._reported.add((number, revision))
         self._reports.append(
-            ContactReport(
-                session=1,
-                number=number,
-                revision=revision,
-                time_s=1.0,
-                latitude_deg=43.0,
-                longitude_deg=5.0,
-                sigma_m=1.0,
-                p_mine=p_mine,
-                classification="unknown",
-                belief={},
-                n_views=1,
-            )
+            report_of(session=1, number=number, revision=revision, p_mine=p_mine, classification="unknown", belief={})
         )

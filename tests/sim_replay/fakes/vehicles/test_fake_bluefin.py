@@ -10,19 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from auv_mcm.records import NavSample
 from drivers.vehicle.dialect import Steer, Vertical
 from sim_replay.fakes.vehicles.bluefin import FakeBluefin
+from tests.make.records import nav_of
 
-POSE = NavSample(
-    time_s=36_610.0,
-    latitude_deg=-8.5,
-    longitude_deg=115.25,
-    heading_rad=1.0,
-    depth_m=10.0,
-    altitude_m=5.0,
-    speed_mps=1.5,
-)
+POSE = nav_of(36_610.0, latitude_deg=-8.5, longitude_deg=115.25, heading_rad=1.0)
 CONTACT = "1,17,1,0.125,0830.000000,S,11515.000000,E,1.0,,sphere,0.5,0,0.5,0,0,0.25,0.25,1,,,,,,"
 
 

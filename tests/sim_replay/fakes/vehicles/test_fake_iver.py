@@ -8,18 +8,13 @@ from operator import xor
 
 import pytest
 
-from auv_mcm.records import NavSample
+from auv_mcm.records import NAN
 from drivers.vehicle.dialect import Vertical
 from sim_replay.fakes.vehicles.iver import FakeIver
+from tests.make.records import nav_of
 
-POSE = NavSample(
-    time_s=36_610.0,
-    latitude_deg=-8.5,
-    longitude_deg=115.25,
-    heading_rad=math.radians(57.3),
-    depth_m=3.048,
-    altitude_m=6.096,
-)
+PLACE = {"latitude_deg": -8.5, "longitude_deg": 115.25, "depth_m": 3.048, "altitude_m": 6.096}
+POSE = nav_of(36_610.0, heading_rad=math.radians(57.3), speed_mps=NAN, **PLACE)
 
 
 def line(body: str) -> bytes:

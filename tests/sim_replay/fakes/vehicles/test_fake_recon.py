@@ -6,18 +6,12 @@ import math
 
 import pytest
 
-from auv_mcm.records import NavSample
+from auv_mcm.records import NAN
 from drivers.vehicle.dialect import Steer, Vertical
 from sim_replay.fakes.vehicles.recon import FakeRecon
+from tests.make.records import nav_of
 
-POSE = NavSample(
-    time_s=36_610.0,
-    latitude_deg=39.5,
-    longitude_deg=-74.25,
-    heading_rad=math.radians(359.98),
-    depth_m=10.0,
-    speed_mps=1.5,
-)
+POSE = nav_of(36_610.0, latitude_deg=39.5, longitude_deg=-74.25, heading_rad=math.radians(359.98), altitude_m=NAN)
 GOALS = ("C,Heading,Goal,90.0", "C,Depth,Depth,5.0", "C,Speed,1.5 meters/sec")
 
 
