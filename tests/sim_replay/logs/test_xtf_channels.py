@@ -190,20 +190,15 @@ def test_the_higher_of_two_frequencies_is_used_and_both_are_named(
         list(XtfLog(path, SonarConfig(subsystem=22)))
 
 
-def test_a_frequency_that_is_described_and_not_recorded_is_not_chosen(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "channels", [FOUR, [(1, "port", 445.0), (2, "stbd", 455.0)]], ids=["two not recorded", "two of one pair"]
+)
+def test_a_frequency_not_recorded_or_little_different_is_no_other(
+    channels: list[tuple[int, str, float]], tmp_path: Path
+) -> None:
     pings, path = plain(tmp_path)
     head, kept = stored(path)
-    describe(head, FOUR)
-    path.write_bytes(bytes(head) + b"".join(packet(one.header, one.sides) for one in kept))
-    events, _ = read(path)
-    check_same(pings_of(events), pings)
-    assert "reader.frequency_chosen" not in codes_of(events)
-
-
-def test_sides_of_frequencies_that_differ_a_little_are_one_pair(tmp_path: Path) -> None:
-    pings, path = plain(tmp_path)
-    head, kept = stored(path)
-    describe(head, [(1, "port", 445.0), (2, "stbd", 455.0)])
+    describe(head, channels)
     path.write_bytes(bytes(head) + b"".join(packet(one.header, one.sides) for one in kept))
     events, _ = read(path)
     check_same(pings_of(events), pings)

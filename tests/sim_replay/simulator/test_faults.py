@@ -88,16 +88,10 @@ def test_navigation_after_the_last_ping_passes_too() -> None:
     assert list(with_faults([*mission(), last], (fault,), RECORDER))[-1] is last
 
 
-def test_a_drop_loses_every_other_ping_and_no_navigation() -> None:
-    navigation, pings = struck(Fault(kind="drop", at_ping=4, n_pings=5))
-    assert numbers(pings) == [0, 1, 2, 3, 5, 7, 9, 10, 11]
-    assert len(navigation) == N_PINGS
-    check_untouched(pings)
-
-
-def test_a_gap_loses_all_pings_and_no_navigation() -> None:
-    navigation, pings = struck(Fault(kind="gap", at_ping=4, n_pings=5))
-    assert numbers(pings) == [0, 1, 2, 3, 9, 10, 11]
+@pytest.mark.parametrize(("kind", "left"), [("drop", [0, 1, 2, 3, 5, 7, 9, 10, 11]), ("gap", [0, 1, 2, 3, 9, 10, 11])])
+def test_a_drop_loses_every_other_ping_a_gap_all_of_them_and_neither_navigation(kind: Any, left: list[int]) -> None:
+    navigation, pings = struck(Fault(kind=kind, at_ping=4, n_pings=5))
+    assert numbers(pings) == left
     assert len(navigation) == N_PINGS
     check_untouched(pings)
 
