@@ -141,7 +141,7 @@ def test_c_pulls_to_readings_as_numpy_does(seed: int, shape: tuple[int, int], bi
     scores = np.repeat(random.normal(size=(1, *shape)), 2, axis=0)
     for score, lower in zip(scores, (kernel.pull_to_reading, kernel.pull_to_reading_numpy), strict=True):
         lower(score, altitude_m, bin_m, 1.6, 8.0, pull)
-    np.testing.assert_allclose(*scores, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(scores[0], scores[1], rtol=0.0, atol=1e-12)
 
 
 @needs_c
