@@ -193,7 +193,7 @@ def test_the_network_is_asked_again_where_a_mine_is_not_improbable(cylinder: Det
     odds = msgspec.structs.replace(shipped_odds("contrast"), verifier=shipped_odds("cascade").verifier)
     assert odds.verifier is not None
     network, other_nats = shipped_network(odds.verifier.digest), odds.verifier.other_nats
-    looks = [cylinder, detection_in(bare_floor(3))]
+    looks = [cylinder, detection_in(bare_floor(7))]
     seen, bare = (region_of(look, look.surroundings, BEAM_RAD) for look in looks if look.surroundings)
     once = network.scores([chip_of(seen), chip_of(bare)])
     four = mean_scores(once[:1], network.scores(chips_beside(seen, chip_of(seen))))
