@@ -108,11 +108,11 @@ def pieces(draw: st.DrawFn, name: str) -> list[tuple[bytes, bool]]:
     """Intact messages between the remains of others and noise; whether each piece is intact."""
     found: list[tuple[bytes, bool]] = []
     for _ in range(draw(st.integers(1, 8))):
-        kind = draw(st.sampled_from(["intact", "intact", "noise", "cut", "head", "tail", "flipped"]))
+        kind = draw(st.sampled_from(["intact", "intact", "noise", "cut", "head", "tail", "flipped", "inserted"]))
         piece = draw(message(name))
         at = draw(st.integers(1, len(piece) - 1))
         if kind == "noise":
-            piece = draw(st.binary(max_size=40))
+            piece = draw(st.lists(st.one_of(st.binary(max_size=9), st.sampled_from(MARKS)), max_size=8).map(b"".join))
         elif kind == "cut":
             piece = piece[:at] + piece[at + draw(st.integers(1, 30)) :]
         elif kind == "head":
@@ -121,6 +121,8 @@ def pieces(draw: st.DrawFn, name: str) -> list[tuple[bytes, bool]]:
             piece = piece[at:]
         elif kind == "flipped":
             piece = piece[:at] + bytes((piece[at] ^ 1 << draw(st.integers(0, 7)),)) + piece[at + 1 :]
+        elif kind == "inserted":
+            piece = piece[:at] + draw(st.binary(min_size=1, max_size=5)) + piece[at:]
         found.append((piece, kind == "intact"))
     return found
 

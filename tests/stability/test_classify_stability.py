@@ -14,7 +14,7 @@ from auv_mcm.classify.fit import SOLIDS, Effort, ShapeFits, fit_shapes
 from auv_mcm.classify.likelihood import image_row_sums
 from auv_mcm.confirm.region import Region
 from auv_mcm.kernels.shape import FORBIDDEN, Beam, ImageRowSums, Solid, shape_costs, shape_costs_numpy
-from auv_mcm.solids.shapes import Cylinder, Sphere
+from auv_mcm.solids.shapes import Cylinder, Sphere, TruncatedCone
 from tests.auv_mcm.classify.closed_forms import closed_form_region
 
 SMALL = Effort(160, 4, 8, 6, 2, 8, 6)
@@ -51,6 +51,14 @@ def test_a_shadow_without_any_echo_has_a_finite_cost() -> None:
     fits = fit(region)
     assert all_finite(fits)
     assert fits.fits[0].contrast[1] < 0.1
+
+
+@pytest.mark.parametrize("altitude_m", [0.3, 0.5, 1.0, 30.0])
+def test_no_cone_is_nearly_as_high_as_the_sonar(altitude_m: float) -> None:
+    fits = fit(msgspec.structs.replace(speckled(), altitude_m=altitude_m))
+    assert all_finite(fits)
+    cones = [shape for one in fits.fits if isinstance(shape := one.best.shape, TruncatedCone)]
+    assert all(altitude_m >= 1.2 * float(shape.height_m) for shape in cones)
 
 
 @pytest.mark.parametrize("gain", [1e-310, 1e-300, 1e-6, 1e6, 1e300])
