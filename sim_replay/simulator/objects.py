@@ -43,6 +43,7 @@ USUAL: Final[dict[ObjectKind, Usual]] = {
     "wedge": Usual(1.02, 0.8, 0.385),
     "box": Usual(1.1, 0.9, 0.45),
     "rock": Usual(0.9, 0.7, 0.4, strength_db=-14.0, specular_db=0.0),
+    "slab": Usual(1.4, 0.9, 0.3, strength_db=-14.0, specular_db=5.0),
     "boulder_cluster": Usual(4.0, 3.0, 0.5, n_members=9, strength_db=-14.0, specular_db=0.0),
     "debris": Usual(2.2, 1.4, 0.4, n_members=6, strength_db=-12.0, specular_db=8.0),
     "tyre": Usual(0.9, 0.9, 0.25, strength_db=-18.0, specular_db=3.0),
@@ -295,10 +296,10 @@ def _single(scene_object: PlacedObject, base_m: float, material: int) -> Body:
 
 
 def _polyhedron(scene_object: PlacedObject, base_m: float, material: int) -> Body:
-    """Build a wedge, box or rock: the hull of its corners, tilted, pushed into the floor."""
+    """Build a wedge, box, rock or slab: the hull of its corners, tilted, pushed into the floor."""
     half_length, half_width, height = 0.5 * scene_object.length_m, 0.5 * scene_object.width_m, scene_object.height_m
-    if scene_object.kind == "rock":
-        corners = _rock_corners(half_length, half_width, height, scene_object.seed)
+    if scene_object.kind in _STONES:
+        corners = _STONES[scene_object.kind](half_length, half_width, height, scene_object.seed)
     else:
         corners = np.array(
             [(u * half_length, v * half_width, top * height) for u in (-1, 1) for v in (-1, 1) for top in (0, 1)]
@@ -307,7 +308,7 @@ def _polyhedron(scene_object: PlacedObject, base_m: float, material: int) -> Bod
             corners = corners[(corners[:, 0] > 0.0) | (corners[:, 2] == 0.0)]
     sine, cosine = math.sin(scene_object.tilt_rad), math.cos(scene_object.tilt_rad)
     along, up = corners[:, 0] * cosine - corners[:, 2] * sine, corners[:, 0] * sine + corners[:, 2] * cosine
-    lowest = 0.0 if scene_object.kind == "rock" else float(up.min())  # a rock is bedded in the floor as it is
+    lowest = 0.0 if scene_object.kind in _STONES else float(up.min())  # a stone is bedded in the floor as it is
     corners = np.stack([along, corners[:, 1], up - lowest - scene_object.burial_m], axis=1)
     planes, n_sides = hull_planes(corners)
     reach = float(np.hypot(corners[:, 0], corners[:, 1]).max()) + 1e-6
@@ -343,6 +344,26 @@ def _rock_corners(half_length: float, half_width: float, height: float, seed: in
     corners[:, 1] *= half_width / span[1]
     corners[:, 2] *= height / max(float(corners[:, 2].max()), 1e-6)
     return corners
+
+
+def _slab_corners(half_length: float, half_width: float, height: float, seed: int) -> Floats:
+    """Draw corners of a slab of bedrock that reaches its sizes: four or five steep sides, a flat top that may slope."""
+    random = np.random.Generator(np.random.PCG64(np.random.SeedSequence([_STREAM, 2, seed])))
+    outline = np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)]) * random.uniform(0.7, 1.0, (4, 2))
+    if random.random() < 0.4:  # a corner is broken off
+        shares = random.uniform(0.2, 0.6, 2)[:, None]
+        outline = np.concatenate([outline[1:], outline[:1] + shares * (outline[[1, 3]] - outline[:1])])
+    outline /= np.abs(outline).max(axis=0)
+    outline *= (half_length, half_width)
+    top = outline * random.uniform(0.8, 1.0)
+    slope_u, slope_v = random.uniform(-0.2, 0.2, 2)
+    rise = 1.0 + slope_u * top[:, 0] / half_length + slope_v * top[:, 1] / half_width
+    return np.concatenate(
+        [np.pad(outline, ((0, 0), (0, 1))), np.column_stack([top, height * rise / max(float(rise.max()), 1e-6)])]
+    )
+
+
+_STONES: Final = {"rock": _rock_corners, "slab": _slab_corners}
 
 
 def _group(scene_object: PlacedObject, floor_m: HeightOfFloor, material: int) -> list[Body]:

@@ -20,6 +20,7 @@ ObjectKind: TypeAlias = Literal[
     "wedge",
     "box",
     "rock",
+    "slab",
     "boulder_cluster",
     "debris",
     "tyre",
@@ -109,13 +110,13 @@ class SceneObject(_Section, frozen=True, kw_only=True):
     across_m to starboard of it.
 
     Sizes left out are usual ones of the kind. cylinder, pipe: length, width = diameter. sphere: width = diameter.
-    truncated_cone: width = base diameter, top_m = top diameter, height. wedge, box, rock, debris: length, width,
-    height. tyre: width = outer diameter, height = thickness. boulder_cluster, fish_school: length, width of the group,
-    height of the highest, `count` members. anchor_scar: length, width, height = depth. point: echo without body or
-    shadow, strength_db being its target strength. azimuth_deg: of the long axis. tilt_deg: its end towards the azimuth
-    raised. burial_m: pushed into the floor. scour_m: depth of the moat around. above_m: height over the floor, for
-    fish_school and point. strength_db: backscattering strength at normal incidence, specular_db: of the specular lobe
-    on top of it.
+    truncated_cone: width = base diameter, top_m = top diameter, height. wedge, box, rock, slab, debris: length,
+    width, height. tyre: width = outer diameter, height = thickness. boulder_cluster, fish_school: length, width of
+    the group, height of the highest, `count` members. anchor_scar: length, width, height = depth. point: echo
+    without body or shadow, strength_db being its target strength. azimuth_deg: of the long axis. tilt_deg: its end
+    towards the azimuth raised. burial_m: pushed into the floor. scour_m: depth of the moat around. above_m: height
+    over the floor, for fish_school and point. strength_db: backscattering strength at normal incidence,
+    specular_db: of the specular lobe on top of it.
     """
 
     kind: ObjectKind

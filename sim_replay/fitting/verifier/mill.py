@@ -33,14 +33,19 @@ from sim_replay.simulator.scene import Scatter, Scene, TargetKind
 FIRST_SEED: Final = 40_000  # seeds of drawn missions that the odds were fitted and judged on lie below
 FIRST_SHELLY: Final = 60_000
 """Seeds from here on have beds of bright shells, every second mission."""
+FIRST_SLABS: Final = 70_000
+"""Seeds from here on have slabs with straight edges in place of some of the stones, and more clutter."""
 _STREAM: Final = 0x4D494C4C  # keeps these random numbers apart from others of the same seed
 DENSE: Final = 9
 """Times as many mines and stones as the wide world has, where there is room."""
 _CROWDS: Final = (DENSE, 7, 5, 3)  # times as many mines and stones, the first that finds room
 _APART_M: Final = 5.0  # m between objects: chips of neighbours share little floor
-_CROWDING: Final = frozenset({*get_args(TargetKind), "rock"})
+_CROWDING: Final = frozenset({*get_args(TargetKind), "rock", "slab"})
 _SHELLS: Final = (100.0, 1000.0)  # of a mission: one on 300 m² to one on 30 m²
 _SHELL_DB: Final = (-40.0, -20.0)  # target strength: up to 25 dB above a resolution cell of sand
+_CLUTTER: Final = frozenset({"boulder_cluster", "debris", "tyre", "pipe"})
+_CLUTTERED: Final = 4  # times as much of it as in the wide world
+_SLAB_M: Final = (0.6, 3.0)  # length
 _SHELL: Final = "point"  # kind of an echo without a body: as much sea floor as a ripple's crest
 _OPEN_P: Final = 0.01  # of the gate: what is less probable by its forecast is dropped unmeasured
 _CELL_M: Final = 0.06  # m, of the floor, minimum: half a chip's pixel
@@ -154,10 +159,19 @@ def _widened(scene: Scene, random: np.random.Generator) -> Scene:
         n_shells = round(float(np.exp(random.uniform(*np.log(_SHELLS)))))
         low_db, high_db = sorted(random.uniform(*_SHELL_DB, size=2).tolist())
         scatter += (Scatter(kind=_SHELL, count=n_shells, apart_m=0.5, strength_db=(low_db, high_db)),)
+    if scene.seed >= FIRST_SLABS:
+        scatter = tuple(map(_slabs_and_clutter, scatter))
     track = msgspec.structs.replace(scene.track, pings_in_turns=False)
     return msgspec.structs.replace(
         scene, sonar=sonar, world=world, navigation_error=error, scatter=scatter, track=track
     )
+
+
+def _slabs_and_clutter(group: Scatter) -> Scatter:
+    """Draw slabs for stones whose sizes do not follow the power law, and more of other clutter."""
+    if group.kind == "rock" and not group.natural_sizes:
+        return msgspec.structs.replace(group, kind="slab", length_m=_SLAB_M)
+    return msgspec.structs.replace(group, count=_CLUTTERED * group.count) if group.kind in _CLUTTER else group
 
 
 class MillTask(NamedTuple):

@@ -43,7 +43,9 @@ def highest_m(scene_object: PlacedObject) -> float:
     return top
 
 
-@pytest.mark.parametrize("kind", ["cylinder", "sphere", "truncated_cone", "wedge", "box", "rock", "tyre", "pipe"])
+@pytest.mark.parametrize(
+    "kind", ["cylinder", "sphere", "truncated_cone", "wedge", "box", "rock", "slab", "tyre", "pipe"]
+)
 @pytest.mark.parametrize("burial_m", [0.0, 0.1])
 def test_an_object_has_its_given_height_less_its_burial(kind: ObjectKind, burial_m: float) -> None:
     scene_object = named(kind=kind, burial_m=burial_m)
@@ -71,6 +73,21 @@ def test_every_kind_echoes_by_bodies_or_by_points(kind: ObjectKind) -> None:
         <= 0.5 * math.hypot(scene_object.length_m, scene_object.width_m)
         for body in bodies
     )
+
+
+def test_a_slab_reaches_its_sizes_with_four_or_five_sides_and_a_plane_top() -> None:
+    n_sides = set()
+    for seed in range(20):
+        slab = named(kind="slab", length_m=1.6, width_m=0.9, height_m=0.3)._replace(seed=seed)
+        (body,) = bodies_of(slab, lambda east, north: 0.0, 0)
+        n_sides.add(body.n_sides)
+        u, v = (part.ravel() for part in np.meshgrid(np.linspace(-0.9, 0.9, 181), np.linspace(-0.6, 0.6, 121)))
+        packed = pack([body])
+        top, _, _, covered = body_tops(packed.table[0], packed.planes, u, v)
+        assert np.abs(u[covered]).max() == pytest.approx(0.8, abs=0.02)
+        assert np.abs(v[covered]).max() == pytest.approx(0.45, abs=0.02)
+        assert top[covered].max() == pytest.approx(0.3, abs=0.01)
+    assert n_sides == {4, 5}
 
 
 def test_only_mine_shapes_are_targets_by_default() -> None:

@@ -13,6 +13,7 @@ from sim_replay.fitting.verifier.mill import (
     DENSE,
     FIRST_SEED,
     FIRST_SHELLY,
+    FIRST_SLABS,
     FLOOR,
     GEOMETRY,
     MINE,
@@ -73,6 +74,17 @@ def test_a_dense_mission_has_more_mines_and_stones_and_is_the_same_again() -> No
 def test_every_second_later_mission_has_beds_of_shells() -> None:
     shelly = [any(each.kind == "point" for each in drawn_scene(FIRST_SHELLY + k, 1).scatter) for k in range(40)]
     assert 10 <= sum(shelly) <= 30
+
+
+def test_the_latest_missions_have_slabs_and_more_clutter() -> None:
+    kinds = [{one.kind for one in drawn_scene(first, 1).scatter} for first in (FIRST_SLABS - 1, FIRST_SLABS)]
+    assert "slab" not in kinds[0]
+    assert {"slab", "rock"} <= kinds[1]
+    usual, more = (
+        sum(one.count for one in scene.scatter if one.kind in ("debris", "tyre", "pipe", "boulder_cluster"))
+        for scene in (wide_scene(FIRST_SLABS), drawn_scene(FIRST_SLABS, 1))
+    )
+    assert more == 4 * usual > 0
 
 
 def test_detections_are_what_lies_under_them() -> None:
