@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from auv_mcm.classify.beliefs import MINE_LIKE_P
-from auv_mcm.contacts.contact_picture import COLOURS, display_levels, encoded
+from auv_mcm.contacts.contact_picture import coloured_levels, display_levels, encoded
 from auv_mcm.records import VALID, Side, Tile
 from sim_replay.mosaic_files import replaced_file
 from sim_replay.verdict_layers import MISSED, verdict_words
@@ -114,7 +114,7 @@ def _write_picture(writer: Any, tile: Tile, time_s: float, views: Sequence[_View
         max(1, round(n * spacing_m / pixel_m))
         for n, spacing_m in ((level.shape[1], tile.column_spacing_m), (level.shape[0], tile.row_spacing_m))
     )
-    picture = cv2.resize(COLOURS[level], size, interpolation=cv2.INTER_AREA)[::-1]
+    picture = cv2.resize(coloured_levels(level), size, interpolation=cv2.INTER_AREA)[::-1]
     picture = np.ascontiguousarray(picture[:, ::-1] if tile.side == "port" else picture)
     jpeg = encoded(picture.astype(np.uint8), ".jpg", [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
     image = CompressedImage(timestamp=_stamp(time_s), frame_id=tile.side, data=jpeg, format="jpeg")

@@ -12,6 +12,7 @@ import tempfile
 import weakref
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
+from functools import reduce
 from typing import IO, Final, Literal, NamedTuple, TypeAlias
 
 import cv2
@@ -138,8 +139,8 @@ class Mosaic:
 
     resolution_m: of a pixel, at first. blend: of several passes. crs: "" for longitude and latitude, otherwise as of
     `sim_replay.projections`. nadir_share, fade_share: of the altitude, within which of the track nothing is drawn, and
-    within which the picture fades into the level of the floor around and into other passes. Raises ValueError for a
-    pixel that is not positive.
+    within which the picture fades into the level of the floor around and into other passes. errors: draw the errors of
+    positions too, which take half of the time. Raises ValueError for a pixel that is not positive.
     """
 
     def __init__(
@@ -153,13 +154,14 @@ class Mosaic:
         crs: str = "",
         nadir_share: float = 0.0,
         fade_share: float = 0.0,
+        errors: bool = True,
     ) -> None:
         if not resolution_m > 0.0:
             raise ValueError(f"a pixel of {resolution_m} m is no size")
         self._config = config
         self._asked_m = self.resolution_m = resolution_m
         self._max_blocks = max_blocks
-        self._coarsen = coarsen
+        self._coarsen, self._n_sums = coarsen, 3 if errors else 2
         self._blend, self._crs, self._nadir = blend, crs, (nadir_share, fade_share)
         self._projection: Projection | None = None
         self._blocks = Blocks(2 * max_blocks if coarsen else max_blocks)
@@ -182,7 +184,7 @@ class Mosaic:
         if self._origin_deg is None:
             self._begin(float(tile.pose.longitude_deg[known[0]]), float(tile.pose.latitude_deg[known[0]]))
         for first, stop in _runs(known):
-            placed = _placed(tile, first, stop, self._config, self.resolution_m, self._nadir)
+            placed = _placed(tile, first, stop, self._config, self.resolution_m, self._nadir, self._n_sums > 2)
             if placed.weight.size:
                 self._draw(placed)
         while self._coarsen and len(self._blocks) > self._max_blocks:
@@ -248,12 +250,9 @@ class Mosaic:
             return
         index = ((rows - top) * width + (columns - left)).ravel()
         weight = placed.weight.ravel()
-        sums = np.stack(
-            [
-                np.bincount(index, values.ravel(), width * height).astype(np.float32).reshape(height, width)
-                for values in (weight, placed.weighted, placed.weight * placed.variance_m2)
-            ]
-        )
+        sums = np.zeros((3, height, width), dtype=np.float32)
+        for number, values in enumerate((weight, placed.weighted, placed.weight * placed.variance_m2)[: self._n_sums]):
+            sums[number] = np.bincount(index, values.ravel(), width * height).reshape(height, width)
         drawn = sums[0] > 0.0
         for block_row in range(top // BLOCK, (top + height - 1) // BLOCK + 1):
             for block_column in range(left // BLOCK, (left + width - 1) // BLOCK + 1):
@@ -352,7 +351,7 @@ def _runs(numbers: NDArray[np.intp]) -> list[tuple[int, int]]:
 
 
 def _placed(
-    tile: Tile, first: int, stop: int, config: Config, resolution_m: float, nadir: tuple[float, float]
+    tile: Tile, first: int, stop: int, config: Config, resolution_m: float, nadir: tuple[float, float], errors: bool
 ) -> _Placed:
     """Weigh the pixels of some rows and place them; several become one where they are much finer than the mosaic."""
     n_together = [
@@ -389,7 +388,7 @@ def _placed(
         latitude_deg=near[0][:, np.newaxis] + (far[0] - near[0])[:, np.newaxis] * share,
         weight=weight,
         weighted=weighted,
-        variance_m2=_variance_m2(tile, centre, ground_m, config),
+        variance_m2=_variance_m2(tile, centre, ground_m, config) if errors else np.zeros_like(weight),
     )
     known = np.isfinite(placed.longitude_deg).all(axis=1) & np.isfinite(placed.latitude_deg).all(axis=1)
     return placed if known.all() else _Placed(*(values[known] for values in placed))
@@ -424,12 +423,15 @@ def _weighed(
     weight *= fall
     weighted = weight * intensity
     if tuple(n_together) != (1, 1):
-        edges = [np.arange(0, size, n) for size, n in zip(mask.shape, n_together, strict=True)]
-        weight, weighted = (
-            np.add.reduceat(np.add.reduceat(values, edges[1], axis=1), edges[0], axis=0)
-            for values in (weight, weighted)
-        )
+        weight, weighted = (_summed(values, *n_together) for values in (weight, weighted))
     return weight.astype(np.float64), weighted.astype(np.float64)
+
+
+def _summed(values: NDArray[np.float32], n_rows: int, n_columns: int) -> NDArray[np.float32]:
+    """Sum groups of n_rows x n_columns values, across first; the last ones may be cut short."""
+    padded = np.pad(values, ((0, -values.shape[0] % n_rows), (0, -values.shape[1] % n_columns)))
+    across = reduce(np.add, (padded[:, first::n_columns] for first in range(n_columns)))
+    return np.asarray(reduce(np.add, (across[first::n_rows] for first in range(n_rows))))
 
 
 def _row_distance_m(tile: Tile, centre: NDArray[np.float64], far_m: float, config: Config) -> float:

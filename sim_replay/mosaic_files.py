@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.clean_text import clean
-from auv_mcm.contacts.contact_picture import COLOURS, FLOOR_DB, LEVELS, encoded
+from auv_mcm.contacts.contact_picture import FLOOR_DB, LEVELS, coloured_levels, encoded
 from auv_mcm.errors import UsageError
 from sim_replay.cloud_tiff import Page, Tag, write_cloud_tiff
 from sim_replay.mosaic import BLOCK, ECHO_STEP_DB, SIGMA_STEP_M, WGS84, Level
@@ -138,7 +138,7 @@ def coloured(drawn: NDArray[np.uint8], palette: str = "copper") -> NDArray[np.ui
     echo = drawn[..., 0]
     opacity = np.where(echo > 0, np.uint8(255), np.uint8(0))[..., np.newaxis]
     if palette == "copper":
-        colours = COLOURS[np.ceil(echo * (LEVELS / 255.0)).astype(np.uint8)]
+        colours = coloured_levels(np.ceil(echo * (LEVELS / 255.0)).astype(np.uint8))
     elif palette == "grey":
         colours = np.repeat(echo[..., np.newaxis], 3, axis=-1)
     else:

@@ -176,7 +176,7 @@ class _Replaying:
         self._notices: list[Notice] = []
         self._pictures = PictureCollector()
         self._track = _Track()
-        self._mosaic = Mosaic(config, RESOLUTION_M, MAX_BLOCKS, coarsen=True)
+        self._mosaic = Mosaic(config, RESOLUTION_M, MAX_BLOCKS, coarsen=True, errors=False)
         self._processing_s = 0.0
         self._costs_s: dict[str, float] = {}  # of each stage, in the order to show them
 

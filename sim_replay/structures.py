@@ -30,6 +30,7 @@ LINK_M: Final = 5.0
 (`contacts.max_gate_m`), and half a metre for the reach of either."""
 MIN_MEMBERS: Final = 5  # contacts; fewer are objects that lie near one another
 _CELL_M: Final = 0.1  # m, far below LINK_M and the error of any contact
+_MANY: Final = 500  # places, beyond which the table of all distances costs more than SciPy's import
 _AROUND_M: Final = 25.0  # m: width of the ring whose contacts say how many there are by chance
 _MOST_BY_CHANCE: Final = 1e-3
 """Structures expected in a mission, if groups were chosen blindly; of 900 draws of 200 to 800 scattered contacts 8 have
@@ -83,12 +84,14 @@ def find_structures(contacts: Sequence[Member]) -> tuple[Structure, ...]:
     placed.sort(key=lambda one: one.contact_id)
     if len(placed) < MIN_MEMBERS:
         return ()
-    from scipy.spatial import cKDTree
-
     frame = LocalFrame(latitude_deg=placed[0].latitude_deg, longitude_deg=placed[0].longitude_deg)
     places = frame.to_enu([one.latitude_deg for one in placed], [one.longitude_deg for one in placed], 0.0)[:, :2]
     # Contacts at one place make as many pairs as one.
-    cells, cell_of = np.unique(np.round(places / _CELL_M), axis=0, return_inverse=True)
+    cells, cell_of, n_in_cell = np.unique(np.round(places / _CELL_M), axis=0, return_inverse=True, return_counts=True)
+    if not _may_group(cells * _CELL_M, n_in_cell):
+        return ()
+    from scipy.spatial import cKDTree  # 0.3 s of a replay
+
     pairs = cKDTree(cells * _CELL_M).query_pairs(LINK_M, output_type="ndarray")
     found = []
     for group in _groups(pairs, len(cells), cell_of.ravel()):
@@ -101,6 +104,17 @@ def find_structures(contacts: Sequence[Member]) -> tuple[Structure, ...]:
             found.append((ring, [placed[index] for index in group]))
     found.sort(key=lambda one: (-len(one[1]), one[1][0].contact_id))
     return tuple(_structure(f"S{number:03d}", *one, frame) for number, one in enumerate(found, 1))
+
+
+def _may_group(places: Array, n_contacts: NDArray[np.int64]) -> bool:
+    """Check whether any MIN_MEMBERS contacts hang together; with many places they may."""
+    if len(places) > _MANY:
+        return True
+    apart = places[:, np.newaxis] - places
+    near = (np.hypot(*apart.transpose(2, 0, 1)) <= LINK_M).astype(np.float32)
+    for _ in range(2):  # each doubles the links on the way: a group has MIN_MEMBERS within four
+        near = np.minimum(near @ near, np.float32(1.0))
+    return bool((near @ n_contacts.astype(np.float32)).max() >= MIN_MEMBERS)
 
 
 def _groups(pairs: NDArray[np.int64], n_cells: int, cell_of: NDArray[np.int64]) -> list[NDArray[np.int64]]:

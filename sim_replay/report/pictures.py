@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.contacts.contact_picture import (
-    COLOURS,
     LEVELS,
     SOFT,
     TURNED,
     Bytes,
+    coloured_levels,
     display_levels,
     encoded,
     snippet_picture,
@@ -164,9 +164,10 @@ class PictureCollector:
                 canvas[at, half_px - pixels.shape[1] : half_px] = pixels[:, ::-1]
             else:
                 canvas[at, half_px : half_px + pixels.shape[1]] = pixels
-        turned = (canvas >> 6 == TURNED).sum(axis=1) > 0.5 * np.maximum((canvas > 0).sum(axis=1), 1)
-        canvas[canvas >> 6 == TURNED] &= LEVELS
-        jpeg = encoded(COLOURS[canvas[::-1]], ".jpg", [cv2.IMWRITE_JPEG_QUALITY, quality])
+        in_turn = canvas >> 6 == TURNED
+        turned = in_turn.sum(axis=1) > 0.5 * np.maximum(np.count_nonzero(canvas, axis=1), 1)
+        canvas[in_turn] &= LEVELS
+        jpeg = encoded(coloured_levels(canvas[::-1]), ".jpg", [cv2.IMWRITE_JPEG_QUALITY, quality])
         metres = self._row_spacing_m
         return PictureStrip(
             number=number,

@@ -129,6 +129,15 @@ def test_a_coarsened_mosaic_is_that_of_half_the_resolution() -> None:
     assert drawn(coarse)[0].sum() == pytest.approx(drawn(fine)[0].sum(), rel=1e-3)
 
 
+def test_without_errors_the_echoes_are_the_same() -> None:
+    whole, plain = Mosaic(Config(), 0.25), Mosaic(Config(), 0.25, errors=False)
+    for index in range(3):
+        whole.add(tile(index))
+        plain.add(tile(index))
+    np.testing.assert_array_equal(drawn(plain)[:2], drawn(whole)[:2])
+    assert not drawn(plain)[2].any()
+
+
 def test_a_mosaic_without_positions_is_empty() -> None:
     unknown = tile()
     lost = PoseTrack(

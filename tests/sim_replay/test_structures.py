@@ -64,6 +64,13 @@ def test_scattered_contacts_are_none(seed: int, n: int) -> None:
     assert find_structures(members(scattered(seed, n))) == ()
 
 
+@pytest.mark.parametrize("n_scattered", [0, 600])
+def test_contacts_in_a_row_are_one_structure_however_many_lie_elsewhere(n_scattered: int) -> None:
+    row = np.column_stack([np.arange(MIN_MEMBERS) * 0.98 * LINK_M, np.zeros(MIN_MEMBERS)])
+    (found,) = find_structures(members(np.vstack([row, 400.0 + scattered(3, n=n_scattered, side_m=3000.0)])))
+    assert [one.contact_id for one in found.members] == [f"C{number:05d}" for number in range(1, MIN_MEMBERS + 1)]
+
+
 def test_the_order_of_contacts_makes_no_difference() -> None:
     everything = members(np.vstack([wreck(), scattered(2)]))
     (found,), (again,) = find_structures(everything), find_structures(everything[::-1])
