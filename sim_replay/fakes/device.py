@@ -98,6 +98,7 @@ class FakeDevice:
         hear: Callable[[Message], None] | None = None if self._sonar is None and controller is None else self._hear
         self.wire: DeviceWire = make_wire(job.device, Path(job.folder) / job.name, self._weather, hear)
         self._power_up_s = self._start_s = time.monotonic()
+        self._given_until_s = math.inf
         self._stepped_s = 0.0
         self._has_power = True
         self._freeze = False
@@ -138,6 +139,10 @@ class FakeDevice:
     def hold(self, for_s: float) -> None:
         """Delay every event and fault still due by so much."""
         self._start_s += for_s
+
+    def give_until(self, at_s: float) -> None:
+        """Hold faults due later than this, in mission time: their events are not made yet."""
+        self._given_until_s = at_s
 
     async def _welcome(self) -> None:
         """Notify the controller of every host that opens the wire."""
@@ -217,7 +222,7 @@ class FakeDevice:
             assert self._controller is not None
             await self._controller.granted_once.wait()
             at_s += self._elapsed_s()
-        await self._sleep_until(at_s)
+        await self._fault_due(at_s)
         self._report("fault", {"do": do})
         garbage = None
         if isinstance(fault, Garbage):
@@ -227,7 +232,7 @@ class FakeDevice:
         await self._set(fault, on=True)
         if fault.for_s is None:
             return
-        await self._sleep_until(at_s + fault.for_s)
+        await self._fault_due(at_s + fault.for_s)
         if garbage is not None:
             garbage.cancel()
         await self._set(fault, on=False)
@@ -294,6 +299,12 @@ class FakeDevice:
 
     def _elapsed_s(self) -> float:
         return time.monotonic() - self._start_s
+
+    async def _fault_due(self, at_s: float) -> None:
+        await self._sleep_until(at_s)
+        while at_s > self._given_until_s:  # the computer is late: mission time will be held
+            await asyncio.sleep(_LOOK_S)
+            await self._sleep_until(at_s)
 
     async def _sleep_until(self, at_s: float) -> None:
         while (wait_s := at_s - self._elapsed_s()) > 0.0:  # held meanwhile, it waits on

@@ -145,6 +145,8 @@ class FakeVehicle:
         number, legs_flown, next_pose_s, next_tick_s = 0, 0, 0.0, 0.0
         before: SonarPose | None = None
         while True:
+            for device in self.devices.values():
+                device.give_until(number / self._rate_hz)
             await asyncio.sleep(max(self._start_s + (number - _BLOCK) / self._rate_hz - time.monotonic(), 0.0))
             self._vehicle.steer(self._controller.command)
             poses = self._vehicle.fly(_BLOCK, self._rate_hz)
