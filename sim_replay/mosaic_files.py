@@ -9,9 +9,9 @@ import zipfile
 import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from html import escape
 from pathlib import Path
 from typing import Final, NamedTuple
-from xml.sax.saxutils import escape
 
 import cv2
 import numpy as np
@@ -128,7 +128,8 @@ def write_kmz(
                 overlays.append(_ground_overlay(level, key, picture.shape, inside, number))
         text = (
             '<?xml version="1.0" encoding="UTF-8"?>\n<kml xmlns="http://www.opengis.net/kml/2.2">\n<Document>\n'
-            f"<name>{escape(clean(name))}</name>\n{''.join(overlays)}{''.join(folders)}</Document>\n</kml>\n"
+            f"<name>{escape(clean(name), quote=False)}</name>\n"
+            f"{''.join(overlays)}{''.join(folders)}</Document>\n</kml>\n"
         )
         file.writestr("doc.kml", text, zipfile.ZIP_DEFLATED)
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from html import escape
 from pathlib import Path
 from typing import Any, Final
-from xml.sax.saxutils import escape, quoteattr
 
 from auv_mcm.classify.beliefs import MINE_LIKE_P
 from auv_mcm.clean_text import clean
@@ -144,8 +144,8 @@ def _track(geometry: Mapping[str, Any]) -> str:
 
 
 def _at(point: Sequence[float]) -> str:
-    return f"lat={quoteattr(f'{point[1]:.9f}')} lon={quoteattr(f'{point[0]:.9f}')}"
+    return f'lat="{point[1]:.9f}" lon="{point[0]:.9f}"'
 
 
 def _text(text: str) -> str:
-    return escape(clean(text))
+    return escape(clean(text), quote=False)

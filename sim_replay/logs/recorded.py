@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -177,6 +176,8 @@ class ReplaySource:
 
     async def run(self, sink: EventSink) -> None:
         """Put every event of the mission, each when it is due."""
+        import asyncio  # a replay from the command line needs none
+
         stream = self._mission.events()
         while batch := await asyncio.to_thread(lambda: list(islice(stream, _BATCH))):
             for event in batch:

@@ -12,12 +12,15 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import Notice
 from auv_mcm.shell.recovery import JOURNAL, RECORDING, SUMMARY
 from drivers.recording.session_layout import FILE_PATTERN, PartEnd, Recorded
-from sim_replay.logs.session_reader import Session
+
+if TYPE_CHECKING:
+    from sim_replay.logs.session_reader import Session
 
 
 def recordings_of(session: Path) -> list[Path]:
@@ -68,6 +71,8 @@ class JoinedSession:
 
         Raises BadInputError for a path without a session, or a session with nothing left.
         """
+        from sim_replay.logs.session_reader import Session  # MCAP, which other logs need not
+
         paths = parts_of(path) or [path]
         self._left_out: list[Notice] = []
         self._sessions: list[Session] = []
