@@ -35,6 +35,8 @@ FIRST_SHELLY: Final = 60_000
 """Seeds from here on have beds of bright shells, every second mission."""
 FIRST_SLABS: Final = 70_000
 """Seeds from here on have slabs with straight edges in place of some of the stones, and more clutter."""
+FIRST_STAINED: Final = 80_000
+"""Seeds from here on have pits, and dark and bright patches without a body, which count as sea floor."""
 _STREAM: Final = 0x4D494C4C  # keeps these random numbers apart from others of the same seed
 DENSE: Final = 9
 """Times as many mines and stones as the wide world has, where there is room."""
@@ -46,6 +48,15 @@ _SHELL_DB: Final = (-40.0, -20.0)  # target strength: up to 25 dB above a resolu
 _CLUTTER: Final = frozenset({"boulder_cluster", "debris", "tyre", "pipe"})
 _CLUTTERED: Final = 4  # times as much of it as in the wide world
 _SLAB_M: Final = (0.6, 3.0)  # length
+_THIN_M: Final = (0.01, 0.02)  # height of a patch: no shadow, no echo of its own
+_PATCHES: Final = (
+    Scatter(kind="rock", count=80, apart_m=0.5, length_m=(0.8, 8.0), width_m=(0.4, 2.0), strength_db=(-45.0, -26.0)),
+    Scatter(kind="rock", count=20, apart_m=0.5, length_m=(0.5, 4.0), width_m=(0.4, 2.0), strength_db=(-14.0, -6.0)),
+)
+"""Patches of mud, weed or gravel of a mission: about a hundredth of its sea floor."""
+_PITS: Final = Scatter(
+    kind="anchor_scar", count=40, apart_m=0.5, length_m=(1.0, 5.0), width_m=(0.8, 2.5), height_m=(0.08, 0.35)
+)
 _SHELL: Final = "point"  # kind of an echo without a body: as much sea floor as a ripple's crest
 _OPEN_P: Final = 0.01  # of the gate: what is less probable by its forecast is dropped unmeasured
 _CELL_M: Final = 0.06  # m, of the floor, minimum: half a chip's pixel
@@ -104,17 +115,24 @@ def drawn_scene(seed: int, times: int) -> Scene:
     for n_times in (n for n in _CROWDS if 1 < n <= times):
         crowd = [
             msgspec.structs.replace(each, count=n_times * each.count, apart_m=_APART_M)
-            if each.kind in _CROWDING
+            if each.kind in _CROWDING and each.height_m != _THIN_M
             else each
             for each in scene.scatter
         ]
         crowded = msgspec.structs.replace(scene, name=f"dense-{seed}", scatter=tuple(crowd))
-        try:
-            place_objects(crowded)
-        except UsageError:
-            continue
-        return crowded
-    return scene
+        if _has_room(crowded):
+            return crowded
+    bare = tuple(each for each in scene.scatter if each.height_m != _THIN_M)
+    return scene if _has_room(scene) else msgspec.structs.replace(scene, scatter=bare)
+
+
+def _has_room(scene: Scene) -> bool:
+    """Check whether all objects of a scene can be placed."""
+    try:
+        place_objects(scene)
+    except UsageError:
+        return False
+    return True
 
 
 def _widened(scene: Scene, random: np.random.Generator) -> Scene:
@@ -161,6 +179,8 @@ def _widened(scene: Scene, random: np.random.Generator) -> Scene:
         scatter += (Scatter(kind=_SHELL, count=n_shells, apart_m=0.5, strength_db=(low_db, high_db)),)
     if scene.seed >= FIRST_SLABS:
         scatter = tuple(map(_slabs_and_clutter, scatter))
+    if scene.seed >= FIRST_STAINED:
+        scatter += (_PITS, *(msgspec.structs.replace(each, height_m=_THIN_M) for each in _PATCHES))
     track = msgspec.structs.replace(scene.track, pings_in_turns=False)
     return msgspec.structs.replace(
         scene, sonar=sonar, world=world, navigation_error=error, scatter=scatter, track=track
@@ -234,7 +254,7 @@ def catch(config: Config, events: Iterable[SourceEvent], truth: Callable[[], dic
     pipeline.finish()
     known = truth()
     found = [one for one in found if one.surroundings is not None]
-    objects = [one for one in known["objects"] if one["kind"] != _SHELL]
+    objects = [one for one in known["objects"] if one["kind"] != _SHELL and one["height_m"] > _THIN_M[1]]
     label, nearest, distance_m = labels_of(found, objects)
     rows = [detector_features(one) | detection_details(one) for one in found]
     n_targets = sum(len(one["looks"]) for one in objects if one["is_target"])
