@@ -28,11 +28,7 @@ from auv_mcm.classify.verifier import Opinion
 from auv_mcm.clearance.coverage import CoverageGrid, cover_tile, placed_rows, uncovered
 from auv_mcm.clearance.sampling import Sampling
 from auv_mcm.confirm_tile import confirm_tile
-from auv_mcm.confirmation import (
-    confirm_detection,
-    detector_p_mine,
-    opinions_on,
-)
+from auv_mcm.confirmation import confirm_detection, detector_p_mine, opinions_on
 from auv_mcm.contacts.ledger import Contacts, Ledger
 from auv_mcm.contacts.operating_point import CallWatch, OperatingPoint
 from auv_mcm.defects import Defect, caught, defect_notice
@@ -108,7 +104,8 @@ class Pipeline:
     kept: where contacts are kept, in memory if None; they are the same wherever that is.
     early: look at the newest rows before their tile is complete and announce early contacts; all else is the same
     without.
-    reference_pings: of the levels of tiles, as of `Waterfall`.
+    reference_pings, overlap_m: of tiles, as of `Waterfall`; an overlap of LOCAL_MEAN_REACH_M gives the same pixels,
+    sooner, to one that detects nothing.
 
     The models that `config` names are read here, once. Raises BadInputError or UsageError if one cannot be.
     """
@@ -126,9 +123,10 @@ class Pipeline:
         kept: Contacts | None = None,
         early: bool = False,
         reference_pings: float = REFERENCE_PINGS,
+        overlap_m: float = OVERLAP_M,
     ) -> None:
         self._config = config
-        self._reference_pings = reference_pings
+        self._reference_pings, self._overlap_m = reference_pings, overlap_m
         self._without_skips = without_skips
         self._timer = timer
         self._counts: Counter[str] = Counter()
@@ -305,7 +303,9 @@ class Pipeline:
     def _begin(self, verdict: LawVerdict) -> list[PipelineEvent]:
         """Run the pings that waited for the first verdict, which names their transfer."""
         assert verdict.transfer is not None
-        self._waterfall = Waterfall(self._config, verdict.transfer, OVERLAP_M, self._counts, self._reference_pings)
+        self._waterfall = Waterfall(
+            self._config, verdict.transfer, self._overlap_m, self._counts, self._reference_pings
+        )
         events: list[PipelineEvent] = [*verdict.notices, self._detector]
         waiting, self._undecided = self._undecided, []
         for ping in waiting:

@@ -186,6 +186,7 @@ class ShownMission:
             "stop_row": store.stop_row,
             "columns": store.n_columns,
             "full": store.is_full,
+            "provisional": store.is_provisional,
             "replay": None if self.replay is None else round(self.replay.fraction_done, 3),
             "replay_done": self.replay is None or self.summary is not None or bool(self.replay.problem),
             "replay_problem": "" if self.replay is None else clean(self.replay.problem),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
+from collections import deque
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -14,9 +15,11 @@ import numpy as np
 from auv_mcm.contacts.geojson import Json
 from auv_mcm.detect.detect_tile import TileDetections
 from auv_mcm.errors import AuvMcmError
+from auv_mcm.model_file import NONE
 from auv_mcm.pipeline import Pipeline
-from auv_mcm.records import CoveragePatch, Notice, Ping, SourceEvent, Tile
-from auv_mcm.settings.config import Config
+from auv_mcm.records import CoveragePatch, Notice, Ping, PipelineEvent, SourceEvent, Tile
+from auv_mcm.settings.config import Config, ConfirmConfig, DetectConfig
+from auv_mcm.waterfall.radiometry import LOCAL_MEAN_REACH_M
 from sim_replay.logs.port_log import PortLog
 from sim_replay.logs.recorded import RecordedMission, open_mission
 from sim_replay.logs.session_reader import recorded_config
@@ -29,6 +32,10 @@ log = logging.getLogger(__name__)
 _TILE_ROWS: Final = 64
 """Rows of a tile here: a picture comes every 8 m of track instead of 61, at the same cost (87 times real time for both
 on the demo scene, 2 cores)."""
+
+_FIRST_PINGS: Final = 64
+"""Pings of the first picture: those that the law of samples needs. Rows of the whole come after up to 512, and 20 m."""
+_FIRST_EVENTS: Final = 4096  # newest ones kept for it: 64 pings of 1 Hz among navigation of 60 Hz; chosen
 
 
 class OpenedMission(NamedTuple):
@@ -52,6 +59,7 @@ class MissionFeed:
         """The waterfall over ground range."""
         self.slant = WaterfallStore()
         """The same rows over slant range: the water column and the first bottom return."""
+        self._settled = self.store, self.slant  # others stand in for them until they have rows
         self.recorded: RecordedMission | None = None
         self.config = Config()
         self._open_events = open_events
@@ -80,8 +88,8 @@ class MissionFeed:
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join()
-        self.store.close()
-        self.slant.close()
+        for store in self._settled:
+            store.close()
 
     def join(self) -> None:
         """Wait until everything was read."""
@@ -99,11 +107,9 @@ class MissionFeed:
         self.is_done = True
 
     def _read(self, events: Iterable[SourceEvent]) -> None:
-        waterfall = msgspec.structs.replace(self.config.waterfall, tile_rows=_TILE_ROWS)
-        config = msgspec.structs.replace(self.config, waterfall=waterfall)
-        nothing = TileDetections((), 0, 0)
-        pipeline = Pipeline(config, detect=lambda tile: nothing, seabed=lambda tile: None)
-        column = WaterColumn(self.slant, config.waterfall.column_spacing_m, config.sonar.max_range_m)
+        pipeline = self._pipeline()
+        column = WaterColumn(self.config.waterfall.column_spacing_m, self.config.sonar.max_range_m)
+        first: deque[SourceEvent] = deque(maxlen=_FIRST_EVENTS)
         for event in events:
             if self._stop.is_set():
                 return
@@ -111,17 +117,50 @@ class MissionFeed:
                 self.n_pings += 1
                 column.add_ping(event)
             self._take(pipeline.feed(event), column)
+            if self.n_pings <= _FIRST_PINGS:
+                first.append(event)
+                if isinstance(event, Ping) and self.n_pings == _FIRST_PINGS and not self.store.stop_row:
+                    self._show_first(first, column)
         self._take(pipeline.finish(), column)
+        self.store, self.slant = self._settled
 
-    def _take(self, events: Iterable[object], column: WaterColumn) -> None:
+    def _pipeline(self) -> Pipeline:
+        """Prepare the chain up to pictures and coverage, which needs no model."""
+        config = Config(
+            sonar=self.config.sonar,
+            navigation=self.config.navigation,
+            waterfall=msgspec.structs.replace(self.config.waterfall, tile_rows=_TILE_ROWS),
+            detect=DetectConfig(model=NONE, gate=NONE),
+            confirm=ConfirmConfig(enabled=False),
+        )
+        nothing = TileDetections((), 0, 0)
+        return Pipeline(config, detect=lambda tile: nothing, seabed=lambda tile: None, overlap_m=LOCAL_MEAN_REACH_M)
+
+    def _show_first(self, events: Iterable[SourceEvent], column: WaterColumn) -> None:
+        """Show what the chain sees of these events alone, until it has settled on rows of the whole."""
+        pipeline = self._pipeline()
+        found = [made for event in events for made in pipeline.feed(event)]
+        store, slant = (WaterfallStore(is_provisional=True) for _ in range(2))
+        _draw([*found, *pipeline.finish()], column, store, slant)
+        if store.stop_row:
+            self.store, self.slant = store, slant
+
+    def _take(self, events: list[PipelineEvent], column: WaterColumn) -> None:
+        _draw(events, column, *self._settled)
+        if self._settled[0].stop_row >= max(self.store.stop_row, 1):
+            self.store, self.slant = self._settled
         for event in events:
-            if isinstance(event, Tile):
-                self.store.add(event)
-                column.add_tile(event)
-            elif isinstance(event, CoveragePatch):
+            if isinstance(event, CoveragePatch):
                 self.coverage += [np.round(ring, 7).tolist() for ring in event.rings_deg]  # 1e-7 degrees: 1 cm
             elif isinstance(event, Notice):
                 log.debug("%s", event.text)
+
+
+def _draw(events: list[PipelineEvent], column: WaterColumn, store: WaterfallStore, slant: WaterfallStore) -> None:
+    for event in events:
+        if isinstance(event, Tile):
+            store.add(event)
+            column.add_tile(event, slant)
 
 
 def open_logs(paths: list[Path], config: Config) -> OpenedMission:

@@ -13,7 +13,7 @@ from auv_mcm.records import VALID, EchoTrace, Ping, Side, Tile
 from sim_replay.view.waterfall_store import WaterfallStore
 
 _KEPT_PINGS: Final = 8192
-"""Pings that wait for their rows: a tile comes up to 33 m late, which are 2000 pings at 0.5 m/s and 30 a second."""
+"""Pings that wait for their rows: a tile comes up to 25 m late, which are 1500 pings at 0.5 m/s and 30 a second."""
 _SCALE_PINGS: Final = 16  # pings between two looks at what samples are dark and bright
 _SHARES: Final = (2.0, 99.0)  # per cent of samples below which they are black, and above which white; chosen
 _BLACK_DB, _WHITE_DB = -13.0, 14.0
@@ -33,14 +33,13 @@ class _Drawn(NamedTuple):
 
 
 class WaterColumn:
-    """Take pings and then the tiles that they went into; fill a store with the same rows, over slant range.
+    """Take pings and then the tiles that they went into; fill stores with the same rows, over slant range.
 
     Samples are shown as they were stored, whatever they are: from dark to bright, on a scale that follows them slowly.
     """
 
-    def __init__(self, store: WaterfallStore, column_m: float, max_range_m: float) -> None:
+    def __init__(self, column_m: float, max_range_m: float) -> None:
         """column_m: slant range of a pixel. max_range_m: slant range beyond which nothing is drawn."""
-        self._store = store
         self._column_m, self._max_range_m = column_m, max_range_m
         self._pings: deque[_Drawn] = deque(maxlen=_KEPT_PINGS)
         self._n_pings = 0
@@ -55,8 +54,8 @@ class WaterColumn:
         self._n_pings += 1
         self._pings.append(_Drawn(ping.time_s, drawn))
 
-    def add_tile(self, tile: Tile) -> None:
-        """Write the rows that belong to a tile alone. Raises OSError, as on a full disk."""
+    def add_tile(self, tile: Tile, store: WaterfallStore) -> None:
+        """Write the rows that belong to a tile alone into a store. Raises OSError, as on a full disk."""
         held = [ping for ping in self._pings if ping.sides[tile.side] is not None]
         if not held:
             return
@@ -74,7 +73,7 @@ class WaterColumn:
             if line is not None and abs(times_s[index] - wanted_s[row - tile.core_start]) <= _NEAR_S:
                 shades[row, : len(line)] = line
         mask = np.where(shades > 0, VALID, 0).astype(np.uint8)
-        self._store.add(msgspec.structs.replace(tile, intensity=_INTENSITY[shades], mask=mask))
+        store.add(msgspec.structs.replace(tile, intensity=_INTENSITY[shades], mask=mask))
 
     def _draw(self, side: Side, trace: EchoTrace | None) -> NDArray[np.uint8] | None:
         if trace is None or not trace.samples.size or not trace.spacing_m > 0.0:

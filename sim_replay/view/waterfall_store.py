@@ -51,8 +51,12 @@ class _Piece(NamedTuple):
 class WaterfallStore:
     """Take tiles in order and give pictures and poses of what is there. One thread adds, others may read."""
 
-    def __init__(self, folder: Path | None = None, max_bytes: int = MAX_BYTES) -> None:
-        """Open a file without a name in `folder` (the system's for temporary files): it goes when the process does."""
+    def __init__(self, folder: Path | None = None, max_bytes: int = MAX_BYTES, *, is_provisional: bool = False) -> None:
+        """Open a file without a name in `folder` (the system's for temporary files): it goes when the process does.
+
+        is_provisional: another store takes its place, so that no picture is final.
+        """
+        self.is_provisional = is_provisional
         with tempfile.TemporaryFile(dir=folder) as file:
             self._descriptor = os.dup(file.fileno())
         self.close = weakref.finalize(self, os.close, self._descriptor)
@@ -123,7 +127,7 @@ class WaterfallStore:
 
     def is_final(self, level: int, tile_row: int) -> bool:
         """Find whether a row of picture tiles is complete, so that it will not change."""
-        return (tile_row + 1) * TILE_PX << level <= self.stop_row - _STEP**2
+        return not self.is_provisional and (tile_row + 1) * TILE_PX << level <= self.stop_row - _STEP**2
 
     def poses(self, rows: NDArray[np.int64]) -> tuple[PoseTrack, NDArray[np.float64]]:
         """Give the poses and first returns, m, of rows (n,); the first or last row stands for those beyond it.

@@ -70,7 +70,7 @@ async function poll() {
       ? `${now.pings} pings, ${metres(made, 0)} so far` : `waterfall ${Math.floor(100 * now.fraction)} %`;
     const searched = now.replay === null ? "" : now.replay_problem ? ` · no contacts: ${now.replay_problem}`
       : now.replay_done ? ` · ${contacts.length} contacts` : ` · looking for contacts: ${Math.floor(100 * now.replay)} %`;
-    byId("progress").textContent += searched;
+    byId("progress").textContent += searched + (now.provisional ? " · provisional picture of the first pings" : "");
     showNote();
     if (!now.stop_row && !now.done && performance.now() < ALONE_MS) {
       state = before;
@@ -79,7 +79,7 @@ async function poll() {
     }
     byId("judged").textContent = now.judged;
     byId("judged").hidden = !now.verdicts;
-    if (now.stop_row !== before.stop_row || now.columns !== before.columns) {
+    if (now.stop_row !== before.stop_row || now.columns !== before.columns || now.provisional !== before.provisional) {
       tiles.outdate();
       slant.outdate();
       waterfall.setGrid(now);

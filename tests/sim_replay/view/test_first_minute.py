@@ -245,7 +245,7 @@ def test_a_service_that_runs_is_seen_and_its_contacts_judged_as_it_finds_them(
 ) -> None:
     async def run() -> None:
         async with live_service(tmp_path) as (send, stop):
-            await send(0.75)  # the first rows come with ping 266 of 422
+            await send(0.75)  # a provisional picture comes with ping 64 of 422, rows that stay with ping 256
             mission = open_shown(tmp_path / "latest", [], None, "kim")
 
             async def go(page: BrowserPage, server: MissionServer) -> None:
@@ -257,6 +257,7 @@ def test_a_service_that_runs_is_seen_and_its_contacts_judged_as_it_finds_them(
                 ]
                 await send(0.17)
                 await page.wait_for("bench.contacts.length === 1 && bench.contacts[0].row !== null")
+                await page.wait_for("!bench.state.provisional")
                 rows = await page.evaluate("bench.state.stop_row")
                 await page.press("j")
                 await page.press("m")

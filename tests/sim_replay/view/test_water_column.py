@@ -38,14 +38,14 @@ def test_the_first_return_is_where_dark_turns_bright(
     first_return_m: float, spacing_m: float, kind: str, side: str
 ) -> None:
     store = WaterfallStore()
-    column = WaterColumn(store, COLUMN_M, 100.0)
+    column = WaterColumn(COLUMN_M, 100.0)
     rows = np.arange(N_ROWS)
     depths_m = first_return_m + 0.02 * rows
     for row, depth_m in zip(rows, depths_m, strict=True):
         echo = trace(float(depth_m), spacing_m, kind)
         time_s = START_S + (row + 0.5) * ROW_M / SPEED_MPS
         column.add_ping(Ping(number=int(row), time_s=time_s, port=echo, starboard=echo))
-    column.add_tile(tile("port" if side == "port" else "starboard", 0, np.ones((N_ROWS, 8), dtype=np.float32)))
+    column.add_tile(tile("port" if side == "port" else "starboard", 0, np.ones((N_ROWS, 8), dtype=np.float32)), store)
     picture = unpack_snippet(store.picture(0, 0, -1 if side == "port" else 0))[:N_ROWS]
     picture = picture[:, ::-1] if side == "port" else picture
     shown = int(RANGE_M / COLUMN_M)
@@ -56,15 +56,15 @@ def test_the_first_return_is_where_dark_turns_bright(
 
 def test_rows_without_a_ping_and_sides_that_are_missing_stay_empty() -> None:
     store = WaterfallStore()
-    column = WaterColumn(store, COLUMN_M, 100.0)
+    column = WaterColumn(COLUMN_M, 100.0)
     made = tile("port", 0, np.ones((N_ROWS, 8), dtype=np.float32))
-    column.add_tile(made)  # before any ping
+    column.add_tile(made, store)  # before any ping
     echo = trace(5.0, 0.05, "counts")
     column.add_ping(Ping(number=0, time_s=START_S, port=None, starboard=echo))
-    column.add_tile(made)
+    column.add_tile(made, store)
     assert store.stop_row == 0
     column.add_ping(Ping(number=1, time_s=START_S - 60.0, port=echo, starboard=None))
-    column.add_tile(made)
+    column.add_tile(made, store)
     assert not store.picture(0, 0, -1).any()
 
 
@@ -78,6 +78,6 @@ def test_rows_without_a_ping_and_sides_that_are_missing_stay_empty() -> None:
     ],
 )
 def test_odd_traces_are_drawn_as_far_as_they_can_be(odd: EchoTrace) -> None:
-    column = WaterColumn(WaterfallStore(), COLUMN_M, 100.0)
+    column = WaterColumn(COLUMN_M, 100.0)
     column.add_ping(Ping(number=0, time_s=START_S, port=odd, starboard=odd))
-    column.add_tile(tile("port", 0, np.ones((N_ROWS, 8), dtype=np.float32)))
+    column.add_tile(tile("port", 0, np.ones((N_ROWS, 8), dtype=np.float32)), WaterfallStore())
