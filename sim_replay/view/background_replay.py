@@ -34,7 +34,7 @@ class BackgroundReplay:
         """Prepare; nothing runs before `start`."""
         context = get_context("spawn")
         self.folder = folder
-        self._fraction: Any = context.Value(c_double, 0.0)
+        self._fraction: Any = context.RawValue(c_double, 0.0)  # a lock would outlive a process that is killed
         self._answer, sends = context.Pipe(duplex=False)
         self._problem = ""
         self._sends = sends

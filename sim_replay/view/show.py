@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import getpass
+import signal
 import threading
 import webbrowser
 from collections.abc import Callable
@@ -44,7 +45,7 @@ def show(
     chart_path: Path | None = None,
     open_browser: bool = False,
 ) -> int:
-    """Serve the page of a mission until interrupted. Returns the exit code.
+    """Serve the page of a mission until SIGINT or SIGTERM. Returns the exit code.
 
     Parameters
     ----------
@@ -90,7 +91,7 @@ def show(
 def _serve_until_closed(mission: ShownMission, server: MissionServer, open_browser: bool) -> None:
     try:
         asyncio.run(_serve(mission, server, open_browser))
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, asyncio.CancelledError):
         print("closed")
     finally:
         if mission.replay is not None:
@@ -235,6 +236,9 @@ def named_logs(summary: dict[str, Any], folder: Path) -> list[Path]:
 
 
 async def _serve(mission: ShownMission, server: MissionServer, open_browser: bool) -> None:
+    serving = asyncio.current_task()
+    assert serving is not None
+    asyncio.get_running_loop().add_signal_handler(signal.SIGTERM, serving.cancel)
     await server.open()
     try:
         print(f"{clean(str(mission.folder))}: {server.url} (Ctrl-C ends)", flush=True)

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import multiprocessing
+import os
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +18,7 @@ from sim_replay.replay import replay
 from sim_replay.simulator.mission import Mission
 from sim_replay.view.mission import ShownMission
 from sim_replay.view.mission_feed import open_logs
-from sim_replay.view.show import is_shown, logs_named, open_new
+from sim_replay.view.show import is_shown, logs_named, open_new, show
 from tests.sim_replay.test_replay import content, scene
 
 
@@ -55,6 +58,16 @@ def test_the_waterfall_comes_before_the_contacts_and_they_are_those_of_a_replay(
     # the second time everything is there at once
     assert open_new([log], None, "kim").replay is None
     assert is_shown(folder)
+
+
+def test_sigterm_ends_page_and_replay_as_ctrl_c_does(
+    log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("webbrowser.open", lambda url: os.kill(os.getpid(), signal.SIGTERM))
+    assert show([log], logs=[], open_browser=True) == 0
+    assert "closed\nthe replay is not finished" in capsys.readouterr().out
+    assert multiprocessing.active_children() == []
 
 
 def test_what_stops_a_replay_is_said_on_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
