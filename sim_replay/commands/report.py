@@ -50,11 +50,11 @@ def _run(arguments: argparse.Namespace) -> int:
     if arguments.out is not None or arguments.config is not None:
         raise UsageError("--out and --config are for sessions: results are drawn again as they are")
     from sim_replay.report.report_file import REPORT, redraw_report
+    from sim_replay.verdicts import newest_verdicts
 
-    mission = redraw_report(arguments.session).mission
+    n_verdicts = len(newest_verdicts(redraw_report(arguments.session).mission.verdicts))
     path = arguments.session / REPORT
-    found = {"verdicts": len(mission.verdicts), "report": path}
-    answer(found, [f"{len(mission.verdicts)} verdicts: {path}"], as_json=arguments.json)
+    answer({"verdicts": n_verdicts, "report": path}, [f"{n_verdicts} verdicts: {path}"], as_json=arguments.json)
     return 0
 
 

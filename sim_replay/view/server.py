@@ -19,6 +19,7 @@ from auv_mcm.clean_text import clean
 from auv_mcm.errors import AuvMcmError, BadInputError, HardwareError
 from auv_mcm.safe_files import open_regular
 from auv_mcm.shell.whole_files import finite
+from sim_replay.verdicts import newest_verdicts
 from sim_replay.view.chart import Chart
 from sim_replay.view.mission import MAX_POINTS, Judgement, MeasuredQuantity, ShownMission
 from sim_replay.view.patience import BODY_S, Patience
@@ -310,7 +311,7 @@ class MissionServer:
         async with self._drawing:
             drawn = await asyncio.to_thread(redraw_report, self._mission.folder)
         path = clean(str(self._mission.folder / REPORT))
-        return _json({"verdicts": len(drawn.mission.verdicts), "path": path})
+        return _json({"verdicts": len(newest_verdicts(drawn.mission.verdicts)), "path": path})
 
     async def _refresh(self) -> None:
         async with self._refreshing:

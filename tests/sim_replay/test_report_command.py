@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from msgspec import structs
 
 from auv_mcm.cli import main
 from drivers.recording.session_layout import file_name
@@ -68,7 +69,8 @@ def test_the_report_of_results_is_drawn_again_with_the_verdicts_of_now(
     one = Verdict(
         object="V0001", time="2026-05-04T10:00:00Z", by="kim", latitude_deg=0.0, longitude_deg=0.0, drawn=True
     )
-    append_verdict(results, one)
+    append_verdict(results, structs.replace(one, call="not_mine_like"))
+    append_verdict(results, one)  # a second thought about the same object
     capsys.readouterr()
     assert main(["report", str(results)]) == 0
     assert capsys.readouterr().out.startswith("1 verdicts: ")
