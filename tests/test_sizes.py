@@ -30,7 +30,7 @@ class Limit(NamedTuple):
 LINES: Final = {
     "auv_mcm": Limit(41_370, 35_500),
     "drivers": Limit(18_130, 15_500),
-    "sim_replay": Limit(55_380, 42_000),
+    "sim_replay": Limit(55_420, 42_000),
     "sim_replay/augment": Limit(2_620, 2_400),
     "sim_replay/batch": Limit(570, 600),
     "sim_replay/benches": Limit(10_170, 6_000),
@@ -42,8 +42,8 @@ LINES: Final = {
     "sim_replay/report": Limit(2_030, 2_000),
     "sim_replay/scoring": Limit(2_180, 2_200),
     "sim_replay/simulator": Limit(6_540, 6_900),
-    "sim_replay/view": Limit(2_500, 2_000),
-    "tests": Limit(79_060, 66_000),
+    "sim_replay/view": Limit(2_550, 2_000),
+    "tests": Limit(79_180, 66_000),
 }
 LONG_FUNCTIONS: Final = Limit(5, 5)
 LONG_FILES: Final = Limit(5, 0)
