@@ -28,7 +28,7 @@ class Limit(NamedTuple):
 
 
 LINES: Final = {
-    "auv_mcm": Limit(41_370, 35_500),
+    "auv_mcm": Limit(41_540, 35_500),
     "drivers": Limit(18_130, 15_500),
     "sim_replay": Limit(55_420, 42_000),
     "sim_replay/augment": Limit(2_620, 2_400),
@@ -46,7 +46,7 @@ LINES: Final = {
     "tests": Limit(79_180, 66_000),
 }
 LONG_FUNCTIONS: Final = Limit(5, 5)
-LONG_FILES: Final = Limit(5, 0)
+LONG_FILES: Final = Limit(0, 0)
 
 
 def sources(folder: str) -> list[Path]:

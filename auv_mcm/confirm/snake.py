@@ -17,11 +17,12 @@ from numpy.typing import NDArray
 
 from auv_mcm.confirm import snake_rules
 from auv_mcm.confirm.region import HIGHLIGHT, SHADOW, Region, require_sound
-from auv_mcm.kernels import snake, snake_twin
+from auv_mcm.kernels import snake, snake_criterion
 from auv_mcm.kernels.order import quantile
+from auv_mcm.kernels.snake_criterion import Settings
 from auv_mcm.kernels.snake_descent import MIN_SIDE_PX, Course, Schedule, box, descend, is_measured
 from auv_mcm.kernels.snake_elsewhere import evidences
-from auv_mcm.kernels.snake_twin import Moved, Settings
+from auv_mcm.kernels.snake_twin import Moved
 
 Nodes = NDArray[np.float64]
 
@@ -122,10 +123,10 @@ def _boxes_at(region: Region, table: Nodes) -> Start:
     centres, halves = row + np.array(_START_SHIFTS_M) / row_px, np.array(_START_ALONG_M) / (2.0 * row_px)
     far_m = np.array(_START_ACROSS_M)
     highlight = _best_box(
-        snake_twin.HIGHLIGHT, region, sums, centres, halves, column - 0.5 * far_m / column_px, far_m / column_px
+        snake_criterion.HIGHLIGHT, region, sums, centres, halves, column - 0.5 * far_m / column_px, far_m / column_px
     )
     behind = column + np.array(_START_BEHIND_M) / column_px
-    shadow = _best_box(snake_twin.SHADOW, region, sums, centres, halves, behind, lengths_m / column_px)
+    shadow = _best_box(snake_criterion.SHADOW, region, sums, centres, halves, behind, lengths_m / column_px)
     return Start(highlight, shadow)
 
 

@@ -21,11 +21,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.confirm.region import Region
-from auv_mcm.kernels import snake_twin
+from auv_mcm.kernels import snake_criterion
 from auv_mcm.kernels.order import median
+from auv_mcm.kernels.snake_criterion import HIGHLIGHT, SHADOW, Settings
 from auv_mcm.kernels.snake_descent import row_intervals
 from auv_mcm.kernels.snake_elsewhere import elsewhere
-from auv_mcm.kernels.snake_twin import HIGHLIGHT, SHADOW, Moved, Settings
+from auv_mcm.kernels.snake_twin import Moved
 
 Nodes = NDArray[np.float64]
 
@@ -128,7 +129,7 @@ def find(region: Region, table: NDArray[np.float64], settings: Settings, moved: 
     heights_m = row_heights_m(region, moved.shadow) if len(moved.shadow) else np.array([math.nan])
     repetition, common = elsewhere(table, ((HIGHLIGHT, moved.highlight), (SHADOW, moved.shadow)))
     return Findings(
-        gain=snake_twin.no_object(settings) - moved.criterion,
+        gain=snake_criterion.no_object(settings) - moved.criterion,
         highlight_mean=highlight.total / highlight.measured if len(moved.highlight) else math.nan,
         shadow_mean=shadow.total / shadow.measured if len(moved.shadow) else math.nan,
         background_mean=rest,

@@ -1,90 +1,6 @@
-/* A highlight and a shadow polygon moved together over row cumulative sums, see snake.py for the definitions and the
- * numpy twin.
- *
- * Sums, counts and node coordinates are dyadic fractions that doubles hold exactly, so totals may be updated by
- * differences without drift and every decision equals the twin's. Logarithms come from the C library that Python's own
- * math.log calls.
- */
+/* A highlight and a shadow polygon moved together over row cumulative sums, see snake.py and its twin snake_twin.py. */
 
-#include <math.h>
-#include <stdint.h>
-#include <stdlib.h>
-#include <string.h>
-
-#define MAX_NODES 64
-#define N_FIELDS 8
-#define HIGHLIGHT 0
-#define SHADOW 1
-#define BACKGROUND 2
-#define LEAST_SIDE 4.0 /* pixels, of a box */
-#define LEAST_ROWS 3   /* in which pixels must have been measured */
-
-/* What an edge, and by summation a polygon, adds up over the rows it crosses; the order is that of snake.py. */
-enum { SUM, COUNT, AREA, FAR, ROWS, GAP, SHARED, OVERLAP };
-
-/* The order of `Settings` in snake.py. */
-typedef struct {
-    double row_spacing_m, column_spacing_m, first_ground_range_m, altitude_m, correlation_px;
-    double extent_tolerance_m, extent_sigma_m, gap_tolerance_m, gap_sigma_m;
-    double height_limit_m, height_sigma_m, height_bound_m, min_area_px, faintest, dimmest_highlight, brightest_shadow,
-        forbidden;
-    double window_sum, window_count, log_window;
-} settings;
-
-typedef struct {
-    int64_t n;
-    double node[MAX_NODES][2];
-    double edge[MAX_NODES][N_FIELDS];
-    double total[N_FIELDS];
-    double step[2]; /* summed |difference| of rows and of columns between adjacent nodes */
-    double own;     /* its part of the criterion */
-    double top, bottom, near;
-    int64_t tried[MAX_NODES]; /* the pair's n_changes when no way of a node was better: as long as nothing changes none
-                                 will be */
-} polygon;
-
-typedef struct {
-    int64_t n_rows, n_columns;
-    const double *table;
-    const settings *set;
-    double *bound; /* per row, the other polygon's side that faces this one; -1 where it has none */
-    polygon part[2];
-    int64_t n_evaluated;
-    int64_t n_accepted;
-    int64_t n_changes; /* of nodes or of the length of moves, from 1 */
-} pair;
-
-static inline int64_t ceil_of(double value)
-{
-    const int64_t whole = (int64_t)value;
-    return (double)whole < value ? whole + 1 : whole;
-}
-
-static inline int64_t clip(int64_t value, int64_t highest) { return value < 0 ? 0 : value > highest ? highest : value; }
-
-/* First row an edge crosses in *start, one past the last in *stop; its column at row centre r + 0.5 is column + (r +
- * 0.5 - row) * slope. */
-typedef struct {
-    int64_t start, stop;
-    double row, column, slope;
-} crossing;
-
-static inline crossing crossed(const pair *pair, const double *a, const double *b)
-{
-    const double *upper = a[0] < b[0] ? a : b, *lower = a[0] < b[0] ? b : a;
-    crossing edge = {0, 0, upper[0], upper[1], 0.0};
-    if (a[0] == b[0])
-        return edge;
-    edge.start = clip(ceil_of(upper[0] - 0.5), pair->n_rows);
-    edge.stop = clip(ceil_of(lower[0] - 0.5), pair->n_rows);
-    edge.slope = (lower[1] - upper[1]) / (lower[0] - upper[0]);
-    return edge;
-}
-
-static inline int64_t column_at(const crossing *edge, int64_t row, int64_t n_columns)
-{
-    return clip(ceil_of(edge->column + ((double)row + 0.5 - edge->row) * edge->slope - 0.5), n_columns);
-}
+#include "snake.h"
 
 static void measure_edge(const pair *pair, int which, const double *a, const double *b, double *field)
 {
@@ -215,7 +131,7 @@ static double criterion(const pair *pair, int which, const shape *moved)
     return cost;
 }
 
-static void extents(const double (*node)[2], int64_t n, double *top, double *bottom, double *near)
+void snake_extents(const double (*node)[2], int64_t n, double *top, double *bottom, double *near)
 {
     *top = *bottom = node[0][0];
     *near = node[0][1];
@@ -259,7 +175,7 @@ static void measure(pair *pair, int which)
         part->step[1] += fabs(b[1] - a[1]);
     }
     part->own = polygon_cost(pair->set, which, (double)part->n, part->total, part->step);
-    extents(part->node, part->n, &part->top, &part->bottom, &part->near);
+    snake_extents(part->node, part->n, &part->top, &part->bottom, &part->near);
 }
 
 static double refresh(pair *pair, int which)
@@ -268,72 +184,6 @@ static double refresh(pair *pair, int which)
     measure(pair, which);
     const shape whole = {part->total, part->own, part->top, part->bottom, part->near};
     return criterion(pair, which, &whole);
-}
-
-static double turn(const double *a, const double *b, const double *c)
-{
-    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
-}
-
-static inline int sign(double value) { return (value > 0.0) - (value < 0.0); }
-
-static int on_segment(const double *a, const double *b, const double *p)
-{
-    return fmin(a[0], b[0]) <= p[0] && p[0] <= fmax(a[0], b[0]) && fmin(a[1], b[1]) <= p[1] && p[1] <= fmax(a[1], b[1]);
-}
-
-static int meet(const double *a, const double *b, const double *c, const double *d)
-{
-    if (fmax(a[0], b[0]) < fmin(c[0], d[0]) || fmax(c[0], d[0]) < fmin(a[0], b[0]))
-        return 0;
-    if (fmax(a[1], b[1]) < fmin(c[1], d[1]) || fmax(c[1], d[1]) < fmin(a[1], b[1]))
-        return 0;
-    const int c_side = sign(turn(a, b, c)), d_side = sign(turn(a, b, d));
-    const int a_side = sign(turn(c, d, a)), b_side = sign(turn(c, d, b));
-    if (c_side * d_side < 0 && a_side * b_side < 0)
-        return 1;
-    return (c_side == 0 && on_segment(a, b, c)) || (d_side == 0 && on_segment(a, b, d)) ||
-           (a_side == 0 && on_segment(c, d, a)) || (b_side == 0 && on_segment(c, d, b));
-}
-
-/* Whether edges [first, first + n_edges) of a polygon, the others being sound, leave it simple, with nodes apart and
- * crossed twice by every row. */
-static int sound(const double (*node)[2], int64_t n, int64_t first, int64_t n_edges)
-{
-    int changes = 0, before = 0, initial = 0;
-    for (int64_t i = 0; i < n; i++) {
-        const int way = sign(node[i + 1 < n ? i + 1 : 0][0] - node[i][0]);
-        if (way == 0)
-            continue;
-        if (initial == 0)
-            initial = way;
-        changes += before != 0 && way != before;
-        before = way;
-    }
-    if (changes + (before != initial) > 2)
-        return 0;
-    for (int64_t k = 0; k < n_edges; k++) {
-        const int64_t i = (first + k) % n, next = (i + 1) % n;
-        const double *a = node[i], *b = node[next];
-        const double row = b[0] - a[0], column = b[1] - a[1];
-        if (row * row + column * column < 0.25)
-            return 0;
-        for (int64_t j = 0; j < n; j++) {
-            const double *c = node[j], *d = node[(j + 1) % n];
-            if (j == i)
-                continue;
-            if (j == next) { /* adjacent: only folding back is wrong */
-                if (turn(a, b, d) == 0.0 && row * (d[0] - c[0]) + column * (d[1] - c[1]) < 0.0)
-                    return 0;
-            } else if ((j + 1) % n == i) {
-                if (turn(c, a, b) == 0.0 && row * (a[0] - c[0]) + column * (a[1] - c[1]) < 0.0)
-                    return 0;
-            } else if (meet(a, b, c, d)) {
-                return 0;
-            }
-        }
-    }
-    return 1;
 }
 
 /* Nodes first .. first + n_moved - 1 shifted by (row, column): the criterion if that is better than `best` and allowed,
@@ -376,9 +226,9 @@ static double try_shift(pair *pair, int which, int64_t first, int64_t n_moved, d
     }
     if (total[COUNT] >= 1.0 && total[AREA] >= pair->set->min_area_px) {
         shape moved = {total, polygon_cost(pair->set, which, (double)n, total, step), 0.0, 0.0, 0.0};
-        extents(part->node, n, &moved.top, &moved.bottom, &moved.near);
+        snake_extents(part->node, n, &moved.top, &moved.bottom, &moved.near);
         const double cost = criterion(pair, which, &moved);
-        if (cost < best && sound(part->node, n, before, n_moved + 1))
+        if (cost < best && snake_sound(part->node, n, before, n_moved + 1))
             found = cost;
     }
     for (int64_t k = 0; k < n_moved; k++)
@@ -473,7 +323,7 @@ static int64_t prune(pair *pair, int which, double *cost)
             const double found = refresh(pair, which);
             pair->n_evaluated++;
             if (part->total[COUNT] >= 1.0 && part->total[AREA] >= pair->set->min_area_px && found < *cost &&
-                sound(part->node, part->n, (i + part->n - 1) % part->n, 1)) {
+                snake_sound(part->node, part->n, (i + part->n - 1) % part->n, 1)) {
                 *cost = found;
                 best = *part;
                 removed = i;
@@ -486,17 +336,9 @@ static int64_t prune(pair *pair, int which, double *cost)
     }
 }
 
-/* Nodes of a highlight and a shadow, and what is known of them once they have been moved. */
-typedef struct {
-    int64_t n[2];
-    double node[2][MAX_NODES][2];
-    double cost, total[2][N_FIELDS];
-    int64_t n_accepted, n_evaluated;
-} Moved;
-
 /* Moves the pair through all stages of the schedule, if nothing keeps it from being moved: then fault (2) reports what,
  * see below. */
-static void move(pair *pair, int64_t n_stages, const double *schedule, Moved *moved, int64_t *fault)
+void snake_move(pair *pair, int64_t n_stages, const double *schedule, Moved *moved, int64_t *fault)
 {
     static const int ORDER[2] = {SHADOW, HIGHLIGHT};
     double cost = 0.0;
@@ -515,7 +357,7 @@ static void move(pair *pair, int64_t n_stages, const double *schedule, Moved *mo
             measure(pair, which);
             if (!(part->total[COUNT] >= 1.0 && part->total[AREA] >= pair->set->min_area_px))
                 fault[which] = 1;
-            else if (!sound(part->node, part->n, 0, part->n))
+            else if (!snake_sound(part->node, part->n, 0, part->n))
                 fault[which] = 2;
         }
     if (fault[HIGHLIGHT] != 0 || fault[SHADOW] != 0)
@@ -559,7 +401,7 @@ static void move(pair *pair, int64_t n_stages, const double *schedule, Moved *mo
 }
 
 /* highlight, shadow (MAX_NODES, 2), n_nodes (2): nodes and their numbers, in and out. */
-static void take_in(Moved *moved, const double *highlight, const double *shadow, const int64_t *n_nodes)
+void snake_take_in(Moved *moved, const double *highlight, const double *shadow, const int64_t *n_nodes)
 {
     memset(moved, 0, sizeof *moved);
     memcpy(moved->n, n_nodes, sizeof moved->n);
@@ -567,7 +409,7 @@ static void take_in(Moved *moved, const double *highlight, const double *shadow,
     memcpy(moved->node[SHADOW], shadow, sizeof moved->node[SHADOW]);
 }
 
-static void give_out(const Moved *moved, double *highlight, double *shadow, int64_t *n_nodes, double *out)
+void snake_give_out(const Moved *moved, double *highlight, double *shadow, int64_t *n_nodes, double *out)
 {
     memcpy(n_nodes, moved->n, sizeof moved->n);
     memcpy(highlight, moved->node[HIGHLIGHT], sizeof moved->node[HIGHLIGHT]);
@@ -594,233 +436,8 @@ void auv_mcm_snake(int64_t n_rows, int64_t n_columns, const double *table, const
         .n_rows = n_rows, .n_columns = n_columns, .table = table, .set = (const settings *)set, .bound = bound};
     Moved moved;
 
-    take_in(&moved, highlight, shadow, n_nodes);
-    move(&pair, n_stages, schedule, &moved, fault);
+    snake_take_in(&moved, highlight, shadow, n_nodes);
+    snake_move(&pair, n_stages, schedule, &moved, fault);
     if (fault[HIGHLIGHT] == 0 && fault[SHADOW] == 0)
-        give_out(&moved, highlight, shadow, n_nodes, out);
-}
-
-/* Whole pixels from low to high within the window, LEAST_SIDE or more of them. */
-static void whole_side(double low, double high, double size, double *from, double *to)
-{
-    low = rint(fmin(fmax(low, 0.0), size));
-    high = rint(fmin(fmax(high, 0.0), size));
-    *from = fmax(0.0, fmin(low, size - LEAST_SIDE));
-    *to = fmax(high, *from + LEAST_SIDE);
-}
-
-/* A strip on the near side of a shadow, `width` pixels wide; returns whether there is room for one in which enough was
- * measured. */
-static int strip_before(const pair *pair, double width, const Moved *shadow, Moved *strip)
-{
-    const double (*const node)[2] = shadow->node[SHADOW];
-    const int64_t n = shadow->n[SHADOW], half = n / 2 > 1 ? n / 2 : 1;
-    double column[MAX_NODES], top, bottom, nearest, low_row, high_row, low_column, high_column;
-    int64_t n_reached = 0, n_measured = 0;
-
-    for (int64_t i = 0; i < n; i++) {
-        int64_t k = i;
-        for (; k > 0 && column[k - 1] > node[i][1]; k--)
-            column[k] = column[k - 1];
-        column[k] = node[i][1];
-    }
-    const double near = floor(half % 2 ? column[half / 2] : (column[half / 2 - 1] + column[half / 2]) / 2.0);
-    if (near < LEAST_SIDE)
-        return 0;
-    extents(node, n, &top, &bottom, &nearest);
-    whole_side(top, bottom, (double)pair->n_rows, &low_row, &high_row);
-    whole_side(near - width, near, (double)pair->n_columns, &low_column, &high_column);
-    const double corner[4][2] = {
-        {low_row, low_column}, {low_row, high_column}, {high_row, high_column}, {high_row, low_column}};
-    strip->n[HIGHLIGHT] = 4;
-    memcpy(strip->node[HIGHLIGHT], corner, sizeof corner);
-    for (int64_t row = (int64_t)low_row; row < (int64_t)high_row && row < pair->n_rows; row++) {
-        const double *cell = pair->table + 2 * row * (pair->n_columns + 1);
-        const int64_t far = high_column < (double)pair->n_columns ? (int64_t)high_column : pair->n_columns;
-        n_reached++;
-        n_measured += cell[2 * far + 1] - cell[2 * (int64_t)low_column + 1] >= 1.0;
-    }
-    const int64_t enough = n_reached < LEAST_ROWS ? n_reached : LEAST_ROWS;
-    return n_measured >= (enough > 1 ? enough : 1);
-}
-
-/* The best pair from a start, as snake_descent.py has it. schedule (n_stages[0] + n_stages[1] + n_stages[2], 3):
- * coarse, fine, polish. strip_px: width of the strip before a shadow. moves (1): out, those on the way to the pair. The
- * rest as above.
- */
-void auv_mcm_snake_descend(int64_t n_rows, int64_t n_columns, const double *table, const double *set,
-                           const int64_t *n_stages, const double *schedule, double strip_px, double *highlight,
-                           double *shadow, int64_t *n_nodes, double *bound, double *out, int64_t *fault, int64_t *moves)
-{
-    pair pair = {
-        .n_rows = n_rows, .n_columns = n_columns, .table = table, .set = (const settings *)set, .bound = bound};
-    const double *fine = schedule + 3 * n_stages[0], *polish = fine + 3 * n_stages[1];
-    Moved best, start;
-
-    take_in(&best, highlight, shadow, n_nodes);
-    start = best;
-    move(&pair, n_stages[0], schedule, &best, fault);
-    if (fault[HIGHLIGHT] != 0 || fault[SHADOW] != 0)
-        return;
-    *moves = best.n_accepted;
-    if (start.n[SHADOW] > 0) {
-        Moved alone = start, other;
-        alone.n[HIGHLIGHT] = 0;
-        move(&pair, n_stages[0], schedule, &alone, fault);
-        other = alone;
-        if (fault[SHADOW] == 0 && strip_before(&pair, strip_px, &alone, &other)) {
-            const int64_t last = n_stages[0] > 0 ? 1 : 0;
-            move(&pair, last, fine - 3 * last, &other, fault);
-            if (fault[HIGHLIGHT] != 0 || fault[SHADOW] != 0)
-                return;
-            if (other.cost < best.cost) {
-                best = other;
-                *moves = alone.n_accepted + other.n_accepted;
-            }
-        }
-    }
-    move(&pair, n_stages[1], fine, &best, fault);
-    *moves += best.n_accepted;
-    if (best.n[HIGHLIGHT] > 0 && best.n[SHADOW] > 0) {
-        const Moved both = best;
-        for (int which = SHADOW; which >= HIGHLIGHT; which--) {
-            Moved lone = both;
-            lone.n[1 - which] = 0;
-            move(&pair, which == SHADOW ? n_stages[2] : 0, polish, &lone, fault);
-            if (lone.cost < best.cost) {
-                best = lone;
-                *moves += lone.n_accepted;
-            }
-        }
-    }
-    give_out(&best, highlight, shadow, n_nodes, out);
-}
-
-/* The columns at which a polygon's edges that run up, and those that run down, cross each row; the last one counts.
- *
- * node (n, 2). sides (2, n_rows): -1 where there is none.
- */
-void auv_mcm_snake_sides(int64_t n_rows, int64_t n_columns, int64_t n, const double *node, int64_t *sides)
-{
-    const pair window = {.n_rows = n_rows, .n_columns = n_columns};
-
-    for (int64_t i = 0; i < 2 * n_rows; i++)
-        sides[i] = -1;
-    for (int64_t i = 0; i < n; i++) {
-        const double *a = node + 2 * i, *b = node + 2 * ((i + 1) % n);
-        const crossing edge = crossed(&window, a, b);
-        int64_t *side = sides + (b[0] > a[0] ? n_rows : 0);
-        for (int64_t row = edge.start; row < edge.stop; row++)
-            side[row] = column_at(&edge, row, n_columns);
-    }
-}
-
-/* N (m - 1 - ln m) for `count` pixels of mean m over the window's; 0 on the wrong side of 1. */
-static double evidence(int64_t which, double total, double count)
-{
-    if (count < 1.0)
-        return 0.0;
-    const double mean = total / count > 1e-6 ? total / count : 1e-6;
-    return (which == HIGHLIGHT ? mean > 1.0 : mean < 1.0) ? count * (mean - 1.0 - log(mean)) : 0.0;
-}
-
-/* Puts the element that would be at `place` in order there, none after it being smaller (C. A. R. Hoare's Find). */
-static void select_place(double *value, int64_t n, int64_t place)
-{
-    int64_t first = 0, last = n - 1;
-    while (first < last) {
-        const double pivot = value[first + (last - first) / 2];
-        int64_t low = first, high = last;
-        while (low <= high) {
-            while (value[low] < pivot)
-                low++;
-            while (value[high] > pivot)
-                high--;
-            if (low <= high) {
-                const double held = value[low];
-                value[low++] = value[high];
-                value[high--] = held;
-            }
-        }
-        if (place <= high)
-            last = high;
-        else if (place >= low)
-            first = low;
-        else
-            return;
-    }
-}
-
-/* Evidence of polygons shifted clear of themselves over that in place, see snake_elsewhere.py: the best, and what one
- * in twenty exceeds.
- *
- * which, n_nodes (n_polygons); node (sum of n_nodes, 2). step (2): rows and columns between shifts. sides (2, n_rows),
- * offset (n_room), sums (n_room, 2), there (n_room): overwritten; n_room: no fewer than there are shifts. out (2).
- */
-void auv_mcm_snake_elsewhere(int64_t n_rows, int64_t n_columns, const double *restrict table, int64_t n_polygons,
-                             const int64_t *restrict which, const int64_t *restrict n_nodes,
-                             const double *restrict node, const int64_t *restrict step, int64_t *restrict sides,
-                             int64_t *restrict offset, double *restrict sums, double *restrict there,
-                             double *restrict out)
-{
-    int64_t n_all = 0, n = 0;
-    double top = INFINITY, bottom = -INFINITY, near = INFINITY, far = -INFINITY, here = 0.0;
-
-    for (int64_t i = 0; i < n_polygons; i++)
-        n_all += n_nodes[i];
-    for (int64_t i = 0; i < n_all; i++) {
-        top = fmin(top, node[2 * i]);
-        bottom = fmax(bottom, node[2 * i]);
-        near = fmin(near, node[2 * i + 1]);
-        far = fmax(far, node[2 * i + 1]);
-    }
-    const int64_t first_row = (int64_t)floor(top), last_row = (int64_t)ceil(bottom);
-    const int64_t first_column = (int64_t)floor(near), last_column = (int64_t)ceil(far);
-    for (int64_t row = -first_row; row <= n_rows - last_row; row += step[0])
-        for (int64_t column = -first_column; column <= n_columns - last_column; column += step[1])
-            if (llabs(row) >= last_row - first_row || llabs(column) >= last_column - first_column)
-                offset[n++] = 2 * (row * (n_columns + 1) + column);
-    for (int64_t k = 0; k < n; k++)
-        there[k] = 0.0;
-    for (int64_t i = 0; i < n_polygons; i++) {
-        double total = 0.0, count = 0.0;
-        if (n_nodes[i] == 0)
-            continue;
-        auv_mcm_snake_sides(n_rows, n_columns, n_nodes[i], node, sides);
-        node += 2 * n_nodes[i];
-        for (int64_t k = 0; k < 2 * n; k++)
-            sums[k] = 0.0;
-        for (int64_t row = 0; row < n_rows; row++) {
-            if (sides[row] < 0 || sides[n_rows + row] <= sides[row])
-                continue;
-            const double *low = table + 2 * (row * (n_columns + 1) + sides[row]);
-            const double *high = table + 2 * (row * (n_columns + 1) + sides[n_rows + row]);
-            total += high[0] - low[0];
-            count += high[1] - low[1];
-            for (int64_t k = 0; k < n; k++) {
-                sums[2 * k] += high[offset[k]] - low[offset[k]];
-                sums[2 * k + 1] += high[offset[k] + 1] - low[offset[k] + 1];
-            }
-        }
-        here += evidence(which[i], total, count);
-        for (int64_t k = 0; k < n; k++)
-            there[k] += evidence(which[i], sums[2 * k], sums[2 * k + 1]);
-    }
-    out[0] = out[1] = here > 0.0 ? 0.0 : INFINITY;
-    if (here <= 0.0 || n == 0)
-        return;
-    const double place = 0.95 * (double)(n - 1), part = place - floor(place);
-    const int64_t before = (int64_t)place;
-    double best = there[0];
-    for (int64_t k = 1; k < n; k++)
-        best = there[k] > best ? there[k] : best;
-    select_place(there, n, before);
-    double after = there[before];
-    for (int64_t k = before + 1; k < n; k++)
-        after = k == before + 1 || there[k] < after ? there[k] : after;
-    /* As numpy's quantile rounds. */
-    const double common = part < 0.5 ? there[before] + (after - there[before]) * part
-                                     : after - (after - there[before]) * (1.0 - part);
-    out[0] = best / here;
-    out[1] = common / here;
+        snake_give_out(&moved, highlight, shadow, n_nodes, out);
 }

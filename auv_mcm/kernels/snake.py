@@ -31,10 +31,11 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.kernels import snake_twin
+from auv_mcm.kernels import snake_criterion, snake_twin
 from auv_mcm.kernels.order import median
 from auv_mcm.kernels.signatures import call
-from auv_mcm.kernels.snake_twin import EdgeSums, Moved, Settings
+from auv_mcm.kernels.snake_criterion import EdgeSums, Settings
+from auv_mcm.kernels.snake_twin import Moved
 
 MAX_NODES: Final = 64  # of a polygon; equal in C, where it bounds memory
 NAMES: Final = ("highlight", "shadow")
@@ -192,7 +193,7 @@ def sides_numpy(nodes: NDArray[np.float64], n_rows: int, n_columns: int) -> NDAr
     """Do as sides, in numpy alone."""
     found = np.full((2, n_rows), -1, dtype=np.int64)
     for a, b in zip(nodes, np.roll(nodes, -1, axis=0), strict=True):
-        rows, columns = snake_twin.crossings(a, b, n_rows, n_columns)
+        rows, columns = snake_criterion.crossings(a, b, n_rows, n_columns)
         found[int(b[0] > a[0]), rows] = columns
     return found
 

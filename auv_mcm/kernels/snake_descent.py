@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 
 from auv_mcm.kernels import snake
 from auv_mcm.kernels.signatures import call
-from auv_mcm.kernels.snake_twin import EdgeSums, Moved, Settings
+from auv_mcm.kernels.snake_criterion import EdgeSums, Settings
+from auv_mcm.kernels.snake_twin import Moved
 
 Nodes = NDArray[np.float64]
 Schedule = tuple[tuple[int, float, int], ...]

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from auv_mcm.kernels import snake
 from auv_mcm.kernels.signatures import call
-from auv_mcm.kernels.snake_twin import HIGHLIGHT
+from auv_mcm.kernels.snake_criterion import HIGHLIGHT
 
 Nodes = NDArray[np.float64]
 Polygons = Sequence[tuple[int, Nodes]]

@@ -14,4 +14,11 @@
 #define WIDE
 #endif
 
+/* Between files of one library alone: called without the loader's table, and no name for others to meet. */
+#if defined(__GNUC__)
+#define INTERNAL __attribute__((visibility("hidden")))
+#else
+#define INTERNAL
+#endif
+
 #endif

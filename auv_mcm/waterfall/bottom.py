@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.kernels.viterbi import backtrack, viterbi_forward
-from auv_mcm.kernels.waterfall import add_votes, pull_to_reading, row_medians, step_ratios
+from auv_mcm.kernels.waterfall_rows import row_medians
+from auv_mcm.kernels.waterfall_steps import add_votes, pull_to_reading, step_ratios
 from auv_mcm.waterfall.ground import Traces, mean_between
 
 BIN_M: Final = 0.05  # m of slant range: the step of the search

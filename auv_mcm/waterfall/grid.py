@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.geometry.pose_track import interpolate_track, slice_pose
-from auv_mcm.kernels.waterfall import average_rows
+from auv_mcm.kernels.waterfall_rows import average_rows
 from auv_mcm.records import PoseTrack, Side
 
 _MIN_ROW_COVER = 0.5  # share of a row that pings have to cover for it to hold echoes

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.kernels.waterfall import Sampled, means, sums_to_the_end
+from auv_mcm.kernels.waterfall_sums import Sampled, means, sums_to_the_end
 
 
 class Traces(NamedTuple):

@@ -9,7 +9,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.kernels.waterfall import sums_of_counts
+from auv_mcm.kernels.waterfall_sums import sums_of_counts
 from auv_mcm.records import EchoTrace, Side, Transfer
 from auv_mcm.waterfall.ground import Traces, make_traces, sum_of_clipped
 from auv_mcm.waterfall.transfer import to_intensity

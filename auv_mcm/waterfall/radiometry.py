@@ -15,8 +15,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.kernels.waterfall import Levelled, along_curve, angle_sums, box_level, bright_spots, divide_by_level
-from auv_mcm.kernels.waterfall import row_medians as medians_of_rows
+from auv_mcm.kernels.waterfall_boxes import Levelled, box_level, bright_spots, divide_by_level
+from auv_mcm.kernels.waterfall_rows import along_curve, angle_sums
+from auv_mcm.kernels.waterfall_rows import row_medians as medians_of_rows
 from auv_mcm.records import SATURATED, VALID
 
 N_ANGLE_BINS: Final = 180  # of the angle response over 90°: half a degree each

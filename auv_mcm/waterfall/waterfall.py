@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.intake import PingBlock
-from auv_mcm.kernels.waterfall import Turning, ping_masks, scale_rows
+from auv_mcm.kernels.waterfall_rows import Turning, ping_masks, scale_rows
 from auv_mcm.records import SIDES, Ping, Side, Tile, Transfer
 from auv_mcm.settings.config import Config
 from auv_mcm.waterfall.bottom import BottomTrack, BottomTracker

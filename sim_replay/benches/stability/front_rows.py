@@ -15,7 +15,7 @@ from auv_mcm.detect.cascade.codes import make_plane
 from auv_mcm.detect.cascade.run import tables_of
 from auv_mcm.detect.ftest import equivalent_looks, f_deviate
 from auv_mcm.detect.integral import PaddedIntegral
-from auv_mcm.kernels import cascade, contrast, viterbi, waterfall
+from auv_mcm.kernels import cascade, contrast, viterbi, waterfall_boxes, waterfall_rows, waterfall_steps, waterfall_sums
 from auv_mcm.kernels.contrast import Frame, TileSums
 from auv_mcm.records import VALID, Transfer
 from auv_mcm.waterfall.ground import ground_edges_m, make_traces, mean_between
@@ -124,7 +124,7 @@ def _box_level(kind: str, watch: Watch, quick: bool) -> Found:
     level = INTENSITIES[kind](shape)
     half = (9, 11)
     usable = np.ones(shape, dtype=np.bool_)
-    mean, known = watch(waterfall.box_level, level, usable, half, 0.25)
+    mean, known = watch(waterfall_boxes.box_level, level, usable, half, 0.25)
     places = places_in(shape, 40)
     wanted = [Fraction(box_sum(level, place, half)) / box_count(shape, place, half) for place in places]
     if not all(known[place] for place in places):
@@ -136,7 +136,7 @@ def _shadow_level(watch: Watch, quick: bool) -> Found:
     """Measure how far levels in a shadow larger than the box are off, in shares of the floor's level."""
     shape = TILE if quick else BIG_TILE
     level = with_shadow(shape)
-    mean, _ = watch(waterfall.box_level, level, np.ones(shape, dtype=np.bool_), (9, 11), 0.25)
+    mean, _ = watch(waterfall_boxes.box_level, level, np.ones(shape, dtype=np.bool_), (9, 11), 0.25)
     places = places_in(shape, 40)
     wanted = [Fraction(box_sum(level, place, (9, 11))) / box_count(shape, place, (9, 11)) for place in places]
     return Found(absolute([float(mean[place]) for place in places], wanted))
@@ -150,7 +150,7 @@ def _angle_sums(gain: float, watch: Watch, quick: bool) -> Found:
     values = np.log(speckle((n_pings, 400)).astype(np.float64)) + offset
     centre = np.full(n_bins, offset)
     count, total = watch(
-        waterfall.angle_sums, angle, np.arange(n_pings), values, np.ones(values.shape, bool), n_bins, centre, 3.0
+        waterfall_rows.angle_sums, angle, np.arange(n_pings), values, np.ones(values.shape, bool), n_bins, centre, 3.0
     )
     bins = np.minimum(angle.astype(np.int64), n_bins - 1)
     clipped = np.clip(values - offset, -3.0, 3.0)
@@ -164,7 +164,7 @@ def _bottom(gain: float, watch: Watch, quick: bool) -> Found:
     n_bins, window = (3000 if quick else 65_535), 10
     values = np.log(speckle((1, n_bins)).astype(np.float64)) + offset
     values[:, n_bins // 2 :] += 4.0
-    scores = watch(waterfall.step_ratios, values, np.ones(values.shape, bool), 4, window, math.log(2.0), 3.29)
+    scores = watch(waterfall_steps.step_ratios, values, np.ones(values.shape, bool), 4, window, math.log(2.0), 3.29)
     bins = sorted({n_bins // 2, n_bins - window - 1, 7, *random_of(2).integers(7, n_bins - window, 60).tolist()})
     exact_values = [Fraction(value) for value in values[0].tolist()]
     sums = [Fraction(0)]
@@ -205,22 +205,26 @@ def _waterfall_twins(watch: Watch, _: bool) -> Found:
         plane = np.ascontiguousarray(make((24, 90)))
         usable = random.random(plane.shape) < 0.9
         level = np.where(usable, plane, np.float32(0.0))
-        sums = watch(waterfall.sums_to_the_end, plane)
-        n_unlike += unlike(sums, waterfall.sums_to_the_end_numpy(plane))
-        sampled = waterfall.Sampled(sums, waterfall.sums_to_the_end_numpy(usable), None, 0.1, 0.07)
+        sums = watch(waterfall_sums.sums_to_the_end, plane)
+        n_unlike += unlike(sums, waterfall_sums.sums_to_the_end_numpy(plane))
+        sampled = waterfall_sums.Sampled(sums, waterfall_sums.sums_to_the_end_numpy(usable), None, 0.1, 0.07)
         edges = np.sort(random.uniform(0.0, 7.0, (3, 20)), axis=1)
         row = np.arange(24) % 3
-        n_unlike += unlike(watch(waterfall.means, sampled, edges, row), waterfall.means_numpy(sampled, edges, row))
+        n_unlike += unlike(
+            watch(waterfall_sums.means, sampled, edges, row), waterfall_sums.means_numpy(sampled, edges, row)
+        )
         logs = np.log(np.maximum(plane.astype(np.float64), 1e-300))
         n_unlike += unlike(
-            watch(waterfall.step_ratios, logs, usable, 4, 6, 0.7, 3.3),
-            waterfall.step_ratios_numpy(logs, usable, 4, 6, 0.7, 3.3),
+            watch(waterfall_steps.step_ratios, logs, usable, 4, 6, 0.7, 3.3),
+            waterfall_steps.step_ratios_numpy(logs, usable, 4, 6, 0.7, 3.3),
         )
         n_unlike += unlike(
-            watch(waterfall.box_level, level, usable, (4, 5), 0.25),
-            waterfall.box_level_numpy(level, usable, (4, 5), 0.25),
+            watch(waterfall_boxes.box_level, level, usable, (4, 5), 0.25),
+            waterfall_boxes.box_level_numpy(level, usable, (4, 5), 0.25),
         )
-        n_unlike += unlike(watch(waterfall.row_medians, logs, usable, 8), waterfall.row_medians_numpy(logs, usable, 8))
+        n_unlike += unlike(
+            watch(waterfall_rows.row_medians, logs, usable, 8), waterfall_rows.row_medians_numpy(logs, usable, 8)
+        )
     return Found(n_unlike)
 
 

@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 
 from auv_mcm.confirm.snake import COARSE, FINE, snake_settings
 from auv_mcm.confirm.snake_rules import contour_mask
-from auv_mcm.kernels import snake, snake_twin
+from auv_mcm.kernels import snake, snake_criterion, snake_twin
+from auv_mcm.kernels.snake_criterion import HIGHLIGHT, SHADOW, EdgeSums, Settings
 from auv_mcm.kernels.snake_descent import Course, descend, descend_numpy, row_intervals
 from auv_mcm.kernels.snake_elsewhere import elsewhere, elsewhere_numpy, evidence
-from auv_mcm.kernels.snake_twin import HIGHLIGHT, SHADOW, EdgeSums, Moved, Settings
+from auv_mcm.kernels.snake_twin import Moved
 from sim_replay.benches.every_stage.drawn_contours import box, drawn_pair, plain_region
 
 Floats = NDArray[np.float64]
@@ -113,7 +114,7 @@ def criterion_by_pixels(table: Floats, known: Settings, highlight: Floats, shado
 def test_sums_over_a_polygon_are_those_of_its_pixels(nodes: Floats) -> None:
     table, _ = window(3)
     inside = inside_by_ray(nodes, SHAPE)
-    edges = snake_twin.sums_of(table, np.full(SHAPE[0], -1.0), HIGHLIGHT, nodes)
+    edges = snake_criterion.sums_of(table, np.full(SHAPE[0], -1.0), HIGHLIGHT, nodes)
     total = EdgeSums(*np.sum(edges, axis=0))
     assert total.total == np.diff(table, axis=1)[..., 0][inside].sum()  # exact, in any order
     assert total.measured == total.area == inside.sum()

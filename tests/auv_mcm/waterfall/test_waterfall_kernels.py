@@ -9,8 +9,12 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from auv_mcm import kernels
-from auv_mcm.kernels import waterfall as kernel
-from auv_mcm.kernels.waterfall import Sampled, Turning
+from auv_mcm.kernels import waterfall_boxes as boxes
+from auv_mcm.kernels import waterfall_rows as by_row
+from auv_mcm.kernels import waterfall_steps as steps
+from auv_mcm.kernels import waterfall_sums as along
+from auv_mcm.kernels.waterfall_rows import Turning
+from auv_mcm.kernels.waterfall_sums import Sampled
 from auv_mcm.records import LOW_RESOLUTION, SATURATED, TURN, VALID
 
 needs_c = pytest.mark.skipif(kernels.backend() != "c", reason=f"no C kernels: {kernels.loaded().reason}")
@@ -45,9 +49,9 @@ def as_tuple(value: object) -> tuple[object, ...]:
 
 def traces(seed: int, shape: tuple[int, int]) -> Sampled:
     intensity, usable, mask = drawn(seed, shape)
-    weight = None if usable.all() else kernel.sums_to_the_end_numpy(usable)
-    clipped = kernel.sums_to_the_end_numpy((mask & SATURATED)[:, : seed % (shape[1] + 1)] != 0) if seed % 3 else None
-    return Sampled(kernel.sums_to_the_end_numpy(intensity), weight, clipped, 0.31, 0.07)
+    weight = None if usable.all() else along.sums_to_the_end_numpy(usable)
+    clipped = along.sums_to_the_end_numpy((mask & SATURATED)[:, : seed % (shape[1] + 1)] != 0) if seed % 3 else None
+    return Sampled(along.sums_to_the_end_numpy(intensity), weight, clipped, 0.31, 0.07)
 
 
 @needs_c
@@ -58,10 +62,10 @@ def test_c_sums_and_averages_along_range_as_numpy_does(
 ) -> None:
     random = np.random.Generator(np.random.PCG64(seed))
     intensity, _, _ = drawn(seed, shape)
-    same(kernel.sums_to_the_end(intensity), kernel.sums_to_the_end_numpy(intensity))
+    same(along.sums_to_the_end(intensity), along.sums_to_the_end_numpy(intensity))
     edges_m = np.cumsum(random.exponential(0.1, size=(n_edge_rows, n_edges)), axis=1)
     edge_row = np.sort(random.integers(0, n_edge_rows, shape[0]))
-    same(*(means(traces(seed, shape), edges_m, edge_row) for means in (kernel.means, kernel.means_numpy)))
+    same(*(means(traces(seed, shape), edges_m, edge_row) for means in (along.means, along.means_numpy)))
 
 
 @given(seed=seeds, shape=trace_shapes, kind=st.sampled_from([np.uint8, np.uint16]))
@@ -71,7 +75,7 @@ def test_counts_add_up_as_the_intensities_they_stand_for(seed: int, shape: tuple
     last = np.iinfo(kind).max
     intensity = random.exponential(size=last + 1).astype(np.float32)
     counts = random.integers(0, last, shape, dtype=kind, endpoint=True)
-    same(kernel.sums_of_counts(counts, intensity), kernel.sums_to_the_end_numpy(intensity[counts]))
+    same(along.sums_of_counts(counts, intensity), along.sums_to_the_end_numpy(intensity[counts]))
 
 
 @needs_c
@@ -89,7 +93,7 @@ def test_c_finds_the_medians_that_numpy_finds(seed: int, shape: tuple[int, int],
     usable = random.random(shape) < random.choice([0.1, 0.7, 1.0])
     for chosen in (usable, None):
         for minimum in (1, 24):
-            same(*(medians(values, chosen, minimum) for medians in (kernel.row_medians, kernel.row_medians_numpy)))
+            same(*(medians(values, chosen, minimum) for medians in (by_row.row_medians, by_row.row_medians_numpy)))
 
 
 @needs_c
@@ -99,7 +103,7 @@ def test_c_scales_rows_as_numpy_does(seed: int, shape: tuple[int, int], n_factor
     random = np.random.Generator(np.random.PCG64(seed))
     values, factor = random.exponential(size=shape), random.exponential(size=(n_factors, shape[1]))
     factor_row = random.integers(0, n_factors, shape[0])
-    same(*(scale(values, factor, factor_row) for scale in (kernel.scale_rows, kernel.scale_rows_numpy)))
+    same(*(scale(values, factor, factor_row) for scale in (by_row.scale_rows, by_row.scale_rows_numpy)))
 
 
 @needs_c
@@ -115,8 +119,8 @@ def test_c_finds_the_steps_that_numpy_finds(seed: int, shape: tuple[int, int], b
     values = random.normal(size=shape) + 3.0 * (np.arange(shape[1]) > random.integers(0, shape[1]))
     valid = random.random(shape) < 0.9
     same(
-        kernel.step_ratios(values, valid, blank, window, 0.7, 3.3),
-        kernel.step_ratios_numpy(values, valid, blank, window, 0.7, 3.3),
+        steps.step_ratios(values, valid, blank, window, 0.7, 3.3),
+        steps.step_ratios_numpy(values, valid, blank, window, 0.7, 3.3),
     )
 
 
@@ -127,7 +131,7 @@ def test_c_adds_the_votes_that_numpy_adds(seed: int, shape: tuple[int, int], sha
     random = np.random.Generator(np.random.PCG64(seed))
     ratios = np.maximum(random.normal(0.0, 9.0, shape), 0.0) * random.choice([0.0, 1.0], (shape[0], 1))
     scores = np.ones((2, *shape))
-    for score, add in zip(scores, (kernel.add_votes, kernel.add_votes_numpy), strict=True):
+    for score, add in zip(scores, (steps.add_votes, steps.add_votes_numpy), strict=True):
         add(score, ratios, share, 10.0, 6.0)
     same(*scores)
 
@@ -139,7 +143,7 @@ def test_c_pulls_to_readings_as_numpy_does(seed: int, shape: tuple[int, int], bi
     random = np.random.Generator(np.random.PCG64(seed))
     altitude_m = random.choice([np.nan, np.inf, -1.0, 0.0, 0.3, 1.0, 2.7], shape[0])
     scores = np.repeat(random.normal(size=(1, *shape)), 2, axis=0)
-    for score, lower in zip(scores, (kernel.pull_to_reading, kernel.pull_to_reading_numpy), strict=True):
+    for score, lower in zip(scores, (steps.pull_to_reading, steps.pull_to_reading_numpy), strict=True):
         lower(score, altitude_m, bin_m, 1.6, 8.0, pull)
     np.testing.assert_allclose(scores[0], scores[1], rtol=0.0, atol=1e-12)
 
@@ -155,7 +159,7 @@ def test_c_averages_pings_to_rows_as_numpy_does(seed: int, shape: tuple[int, int
     same(
         *(
             average(intensity, mask, source, overlap, 0.06)
-            for average in (kernel.average_rows, kernel.average_rows_numpy)
+            for average in (by_row.average_rows, by_row.average_rows_numpy)
         )
     )
 
@@ -166,12 +170,10 @@ def test_c_averages_pings_to_rows_as_numpy_does(seed: int, shape: tuple[int, int
 def test_c_levels_as_numpy_does(seed: int, shape: tuple[int, int], half: tuple[int, int]) -> None:
     intensity, usable, mask = drawn(seed, shape)
     logarithms = np.log(np.clip(intensity, np.float32(0.05), np.float32(20.0))) * usable
-    same(
-        *(spots(logarithms, usable, half, 2.4, 3.0, 1e-3) for spots in (kernel.bright_spots, kernel.bright_spots_numpy))
-    )
-    same(*(level(intensity, usable, half, 0.25) for level in (kernel.box_level, kernel.box_level_numpy)))
+    same(*(spots(logarithms, usable, half, 2.4, 3.0, 1e-3) for spots in (boxes.bright_spots, boxes.bright_spots_numpy)))
+    same(*(level(intensity, usable, half, 0.25) for level in (boxes.box_level, boxes.box_level_numpy)))
     columns = np.arange(0, shape[1], 3)
-    both = kernel.divide_by_level, kernel.divide_by_level_numpy
+    both = boxes.divide_by_level, boxes.divide_by_level_numpy
     same(*(divide(intensity, mask, intensity, usable, half, 0.25, columns) for divide in both))
 
 
@@ -186,11 +188,11 @@ def test_c_masks_as_numpy_does(seed: int, shape: tuple[int, int]) -> None:
     ground_m = np.arange(0.45, 0.9 * shape[1], 0.9)[: shape[1]].astype(np.float64)
     coarse = np.where(random.random((3, shape[1])) < 0.3, np.uint8(LOW_RESOLUTION), np.uint8(0))
     arguments = usable, (mask & SATURATED) != 0, turning, ground_m, coarse, random.integers(0, 3, shape[0]), 2.0
-    same(kernel.ping_masks(*arguments), kernel.ping_masks_numpy(*arguments))
+    same(by_row.ping_masks(*arguments), by_row.ping_masks_numpy(*arguments))
     # Every pixel by itself: the kernels look at all of them only where the ends of a row say so.
     ratio = 1.0 + pitch[:, np.newaxis] + yaw[:, np.newaxis] * ground_m
     bent = (ratio > 2.0) | (ratio * 2.0 < 1.0) | turning.fast[:, np.newaxis]
-    np.testing.assert_array_equal((kernel.ping_masks(*arguments) & TURN) != 0, bent)
+    np.testing.assert_array_equal((by_row.ping_masks(*arguments) & TURN) != 0, bent)
 
 
 @needs_c
@@ -207,11 +209,11 @@ def test_c_follows_the_angle_curve_that_numpy_follows(seed: int, shape: tuple[in
         same(
             *(
                 sums(angle, angle_row, values, usable, 30, about, 1.0)
-                for sums in (kernel.angle_sums, kernel.angle_sums_numpy)
+                for sums in (by_row.angle_sums, by_row.angle_sums_numpy)
             )
         )
     bins = np.array(sorted(known), dtype=np.intp)
-    same(*(curve(angle, bins, centre[bins]) for curve in (kernel.along_curve, kernel.along_curve_numpy)))
+    same(*(curve(angle, bins, centre[bins]) for curve in (by_row.along_curve, by_row.along_curve_numpy)))
 
 
 @needs_c
@@ -230,7 +232,7 @@ def test_rows_that_share_their_usable_pixels_are_counted_right(
     usable = usable[random.integers(0, min(2, shape[0]), shape[0])]
     level = np.where(usable, intensity, np.float32(0.0))
     columns = np.array([shape[1] - 1])
-    both = kernel.divide_by_level, kernel.divide_by_level_numpy
+    both = boxes.divide_by_level, boxes.divide_by_level_numpy
     same(*(divide(intensity, mask, level, usable, half, 0.25, columns) for divide in both))
 
 
@@ -244,9 +246,9 @@ def test_a_level_is_the_mean_of_the_usable_pixels_around(
     seed: int, shape: tuple[int, int], half: tuple[int, int]
 ) -> None:
     intensity, usable, _ = drawn(seed, shape)
-    mean, known = kernel.box_level(intensity, usable, half, 0.25)
+    mean, known = boxes.box_level(intensity, usable, half, 0.25)
     logarithms = np.log(np.clip(intensity, np.float32(0.05), np.float32(20.0))) * usable
-    places, limits = kernel.bright_spots(logarithms, usable, half, 0.5, 3.0, 0.0)
+    places, limits = boxes.bright_spots(logarithms, usable, half, 0.5, 3.0, 0.0)
     reported = dict(zip(places.tolist(), limits.tolist(), strict=True))
     for row in range(shape[0]):
         for column in range(shape[1]):
@@ -270,7 +272,7 @@ def test_a_row_takes_what_its_pings_say() -> None:
     intensity = np.array([[1.0, 2.0, 4.0], [3.0, 6.0, 8.0]], dtype=np.float32)
     mask = np.array([[VALID, VALID | TURN, 0], [VALID | SATURATED, 0, LOW_RESOLUTION | SATURATED]], dtype=np.uint8)
     source, overlap = np.array([[0, 1], [1, 0]]), np.array([[0.09, 0.03], [0.12, 0.0]])
-    rows, flags = kernel.average_rows(intensity * ((mask & VALID) != 0), mask, source, overlap, 0.06)
+    rows, flags = by_row.average_rows(intensity * ((mask & VALID) != 0), mask, source, overlap, 0.06)
     np.testing.assert_allclose(rows, [[1.5, 2.0, 0.0], [3.0, 0.0, 0.0]], rtol=1e-6)
     np.testing.assert_array_equal(
         flags, [[VALID | SATURATED, VALID | TURN, LOW_RESOLUTION], [VALID | SATURATED, 0, LOW_RESOLUTION]]
