@@ -37,13 +37,12 @@ from auv_mcm.classify.odds import MineOdds, with_ratio
 from auv_mcm.classify.size_evidence import NO_WEIGHT, SizeEvidence, SizeWeight, size_evidence
 from auv_mcm.classify.targets import shipped_targets
 from auv_mcm.classify.verifier import MINE_KINDS, NO_OPINION, Opinion, mean_scores, opinions_of, shipped_network
-from auv_mcm.confirm.mrf import DEFAULT_SWEEPS, Segmentation, segment
+from auv_mcm.confirm.mrf import Segmentation, segment
 from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region, require_sound
-from auv_mcm.confirm.snake import COARSE, FINE, Contours, converge_on, start_from_labels, survey
+from auv_mcm.confirm.snake import Contours, converge_on, start_from_labels, survey
 from auv_mcm.confirm.snake_rules import contour_mask
 from auv_mcm.confirm.speckle import grain_area
 from auv_mcm.kernels.shape import ImageRowSums
-from auv_mcm.kernels.snake_descent import Schedule
 from auv_mcm.records import Confirmation, ContactClass, Detection, LookStep, MeasuredStep, ShapeModel, Surroundings
 from auv_mcm.settings.config import ConfirmConfig
 from auv_mcm.skips import NO_SKIPS, Skips
@@ -60,22 +59,6 @@ ExaminationStep: TypeAlias = Literal["survey", "first contours", "field", "secon
 
 _NONE: Final = np.empty((0, 2))
 _NO_LABELS: Final = np.empty((0, 0), dtype=np.uint8)
-
-
-class Thoroughness(NamedTuple):
-    """Set how much each step of a confirmation tries; the odds are fitted with the default.
-
-    coarse, fine: schedules of contours, (nodes added, stride in pixels, rounds) per stage. n_sweeps: maximum of the
-    Markov field. effort: of the search for solids.
-    """
-
-    coarse: Schedule = COARSE
-    fine: Schedule = FINE
-    n_sweeps: int = DEFAULT_SWEEPS
-    effort: Effort = Effort()
-
-
-_USUAL: Final = Thoroughness()
 
 
 class Examination(NamedTuple):
@@ -100,7 +83,6 @@ def confirm_detection(
     beam_width_rad: float,
     odds: MineOdds,
     config: ConfirmConfig,
-    thoroughness: Thoroughness = _USUAL,
     without_skips: Skips = NO_SKIPS,
     sizes: SizeEvidence | None = None,
     opinion: Opinion | None = None,
@@ -139,14 +121,12 @@ def confirm_detection(
         if p_by_step["verifier"] < max(config.min_p_mine, _CLOSE_LOOK_P) and "verifier-odds" not in without_skips:
             return _ended(detection, p_by_step, "not_looked_at")
         min_p_mine = 0.0
-    if "hopeless-solids" in without_skips:
-        thoroughness = thoroughness._replace(effort=thoroughness.effort._replace(refines_all=True))
     examination = examine(
         detection,
         region,
         odds,
         min_p_mine,
-        thoroughness=thoroughness,
+        refines_all="hopeless-solids" in without_skips,
         ranges=sizes.ranges,
         measures_features=verified is None,
     )
@@ -282,7 +262,7 @@ def examine(
     odds: MineOdds | None,
     min_p_mine: float,
     done: Callable[[ExaminationStep], None] = lambda step: None,
-    thoroughness: Thoroughness = _USUAL,
+    refines_all: bool = False,
     ranges: SearchRanges = USUAL_RANGES,
     measures_features: bool = True,
 ) -> Examination:
@@ -292,16 +272,17 @@ def examine(
     ----------
     done
         Called after each step, for benches.
+    refines_all
+        With the beam also solids that are far behind.
     ranges
         Of the parameters of solids that are searched.
     measures_features
         False leaves them empty and p_contours NaN: all steps are taken.
     """
-    coarse, fine, n_sweeps, effort = thoroughness
     area = grain_area(region.intensity, region.valid)
     ground = survey(region, area)
     done("survey")
-    contours = ground if isinstance(ground, Contours) else converge_on(ground, ground.boxes, coarse=coarse, fine=fine)
+    contours = ground if isinstance(ground, Contours) else converge_on(ground, ground.boxes)
     done("first contours")
     before: Features = {}
     first: Features = {}
@@ -315,17 +296,17 @@ def examine(
     done("features")
     if p_contours < min_p_mine:
         return Examination(region, contours, None, None, first, first, seen, p_contours)
-    segmentation = segment(region, n_sweeps=n_sweeps)
+    segmentation = segment(region)
     done("field")
     own = labels_near(segmentation.labels, region)
     if own is not None and not isinstance(ground, Contours):
-        again = converge_on(ground, start_from_labels(region, own), coarse=coarse, fine=fine)
+        again = converge_on(ground, start_from_labels(region, own))
         # Whichever start led to the better contours; a criterion that is not a number is no contour.
         if not contours.criterion <= again.criterion and not math.isnan(again.criterion):
             contours = again
     done("second contours")
     image = image_row_sums(region, area)
-    fits = fit_to(image, region, contour_cost(image, region, contours, area), effort, ranges)
+    fits = fit_to(image, region, contour_cost(image, region, contours, area), Effort(refines_all=refines_all), ranges)
     done("solids")
     features, details = first, seen
     if measures_features:

@@ -3,7 +3,7 @@
 Work that is left out early because it cannot, or hardly can, change what is reported.
 
 A skip has a name to switch it off with, a counter in `summary.json`, and a proof: the same bytes without it, or a bound
-whose figure `auv-mcm bench chain --skips` measures. What a stage decides after it has done its work is no skip.
+that docs/results.md holds the figure of. What a stage decides after it has done its work is no skip.
 """
 
 from __future__ import annotations

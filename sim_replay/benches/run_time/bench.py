@@ -19,7 +19,7 @@ from sim_replay.arguments import count, new_file
 from sim_replay.benches.mission_options import add_line_options
 from sim_replay.benches.run_time.apart import Apart, measure_apart
 from sim_replay.benches.run_time.lines import FIRST_SEED, BenchMission, augment_logs, fly_empty, fly_scenes
-from sim_replay.benches.run_time.measure import CALLED_P, measure_settings, this_machine
+from sim_replay.benches.run_time.measure import measure_settings, this_machine
 from sim_replay.benches.run_time.one_run import DEFAULT
 from sim_replay.benches.run_time.page import run_time_page
 from sim_replay.benches.run_time.points import PLAIN, ChainSetting, chain_settings
@@ -33,7 +33,6 @@ from sim_replay.benches.run_time.results import (
     reason_words,
     require_same_missions,
 )
-from sim_replay.benches.run_time.skip_table import REGISTER_HEADER, SKIP_HEADER, measure_skips, register_rows, skip_rows
 from sim_replay.benches.run_time.targets import FLAT, TARGET_HEADER, CostTarget, cost_targets, target_rows
 from sim_replay.missions import SCENES
 from sim_replay.simulator.scene_file import read_scene
@@ -60,7 +59,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     instead = parser.add_mutually_exclusive_group()
     for name, does in {
         "--targets": "the default and the plain script alone, on all that the targets are about",
-        "--skips": "what each skip of the chain saves, and how far the answer differs without it",
         "--quick": "check errors and counts of work on two small missions; no time is judged",
     }.items():
         instead.add_argument(name, action="store_true", help=does)
@@ -76,15 +74,11 @@ def run(arguments: argparse.Namespace) -> int:
     """Fly, run, score and print; returns the exit code. Raises UsageError for scenes or knobs that are not there."""
     if arguments.quick:
         return _quick()
-    if arguments.skips and (arguments.page is not None or arguments.compare is not None):
-        raise UsageError("--page and --compare are for operating points and targets: leave them out beside --skips")
     old = None if arguments.compare is None else read_results(arguments.compare)
     usual = SCENES if arguments.targets else SCANNED
     names = tuple(arguments.scenes.split(",")) if arguments.scenes else usual
     for name in names:
         read_scene(name)
-    if arguments.skips:
-        return _skips(arguments, names)
     chosen = _chosen(arguments.knobs, arguments.targets)
     load = os.getloadavg()[0]
     with tempfile.TemporaryDirectory(prefix="auv-mcm-bench-") as made:
@@ -112,22 +106,6 @@ def run(arguments: argparse.Namespace) -> int:
         print("\nmoved beyond noise:\n" + ("\n".join(changes_since(old, results)) or "nothing"))
     write_result("--json", arguments.json, msgspec.json.format(msgspec.json.encode(results), indent=1))
     write_result("--page", arguments.page, run_time_page(results).encode())
-    return 0
-
-
-def _skips(arguments: argparse.Namespace, names: Sequence[str]) -> int:
-    """Print what each skip saves, and how far the answer differs without it."""
-    with tempfile.TemporaryDirectory(prefix="auv-mcm-bench-") as made:
-        effects = measure_skips(_missions(arguments, names, Path(made)), arguments.repeat, Path(made), progress)
-    print(file=sys.stderr)
-    print(
-        "Time without a skip in units of the time with it, of whole processes; medians of "
-        f"{arguments.repeat} repeats in turn.\nCalled: p_mine of {CALLED_P:g} or more. Skips that left out nothing on "
-        "a mission are not in its rows."
-    )
-    for header, rows in ((REGISTER_HEADER, register_rows()), (SKIP_HEADER, skip_rows(effects))):
-        print("\n" + (markdown if arguments.markdown else columns)(header, rows))
-    write_result("--json", arguments.json, msgspec.json.format(msgspec.json.encode(effects), indent=1))
     return 0
 
 

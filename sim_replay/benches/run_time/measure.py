@@ -174,8 +174,6 @@ def run_once(
         config = contacts.with_suffix(".yaml")
         config.write_text(config_yaml(point.configure(line.config, folder)), "utf-8")
         command = [sys.executable, "-m", one_run.MODULE, str(line.log), "--config", str(config)]
-        command += ["--thoroughness", one_run.thoroughness_json(point.thoroughness)]
-        command += [word for name in sorted(point.without_skips) for word in ("--without-skip", name)]
         command += ["--contacts", str(contacts)]
     started_s = time.monotonic()
     output, process_s = timed(command, f"{point.name} on {line.name}", contacts.with_suffix(".err"), environment)

@@ -10,24 +10,16 @@ import json
 import math
 import os
 import time
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Final
 
-import msgspec
-
 from auv_mcm import kernels
-from auv_mcm.classify.odds import shipped_odds
 from auv_mcm.commands import Parser
-from auv_mcm.confirmation import Thoroughness, confirm_detection
 from auv_mcm.contacts.export import contacts_geojson
-from auv_mcm.detect.cascade.choose import configured_model, fitting
 from auv_mcm.memory import return_large_arrays
 from auv_mcm.pipeline import Pipeline
-from auv_mcm.records import CoveragePatch, Detection, Ping, PipelineEvent
+from auv_mcm.records import CoveragePatch, Ping, PipelineEvent
 from auv_mcm.settings.config import Config, parse_config
-from auv_mcm.skips import SKIPS, Skips
 from sim_replay.logs.open_log import open_log
 
 MODULE: Final = "sim_replay.benches.run_time.one_run"
@@ -41,13 +33,10 @@ def peak_memory_mb() -> float:
     return next(int(line.split()[1]) / 1024.0 for line in lines if line.startswith("VmHWM"))
 
 
-def run_chain(
-    log: Path, config: Config, thoroughness: Thoroughness, without_skips: Skips, contacts: Path
-) -> dict[str, object]:
+def run_chain(log: Path, config: Config, contacts: Path) -> dict[str, object]:
     """Run the chain and write its contacts; returns costs and counts of work."""
-    look = _look_of(thoroughness, config)
     return_large_arrays()
-    pipeline = Pipeline(config, without_skips=without_skips, timer=time.process_time, look=look)
+    pipeline = Pipeline(config, timer=time.process_time)
     n_pings, n_samples, first_s, last_s, covered_m2, read_s = 0, 0, math.nan, math.nan, 0.0, 0.0
     mark = start = time.process_time()
 
@@ -79,44 +68,17 @@ def run_chain(
     }
 
 
-def _look_of(thoroughness: Thoroughness, config: Config) -> Callable[[Detection], Detection] | None:
-    """Make a confirmation that is so thorough; None for the pipeline's own."""
-    if thoroughness == Thoroughness():
-        return None
-    model, _ = fitting(configured_model(config), config)
-    return partial(
-        confirm_detection,
-        beam_width_rad=config.sonar.beam_width_rad,
-        odds=shipped_odds("contrast" if model is None else "cascade"),
-        config=config.confirm,
-        thoroughness=thoroughness,
-    )
-
-
-def parse_thoroughness(text: str) -> Thoroughness:
-    """Read what `thoroughness_json` wrote. Raises msgspec.DecodeError, a ValueError."""
-    return msgspec.json.decode(text, type=Thoroughness)
-
-
-def thoroughness_json(thoroughness: Thoroughness) -> str:
-    """Write thoroughness for a command line."""
-    return msgspec.json.encode(thoroughness).decode()
-
-
 def main() -> int:
     """Run the chain once over a log and print costs and counts as JSON."""
     parser = Parser(prog=f"python -m {MODULE}", description=main.__doc__)
     parser.add_argument("log", type=Path)
     parser.add_argument("--config", type=Path, required=True)
-    parser.add_argument("--thoroughness", type=parse_thoroughness, default=Thoroughness(), help="of looks, as JSON")
-    parser.add_argument("--without-skip", action="append", default=[], choices=[skip.name for skip in SKIPS])
     parser.add_argument("--contacts", type=Path, required=True)
     arguments = parser.parse_args()
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
     config = parse_config(arguments.config.read_text("utf-8"), str(arguments.config))
-    without_skips = frozenset(arguments.without_skip)
-    print(json.dumps(run_chain(arguments.log, config, arguments.thoroughness, without_skips, arguments.contacts)))
+    print(json.dumps(run_chain(arguments.log, config, arguments.contacts)))
     return 0
 
 

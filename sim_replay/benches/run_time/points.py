@@ -11,14 +11,10 @@ from typing import Any, Final, NamedTuple
 
 import msgspec
 
-from auv_mcm.classify.fit import Effort
-from auv_mcm.confirm.snake import FINE
-from auv_mcm.confirmation import Thoroughness
 from auv_mcm.detect.cascade.choose import shipped_model
 from auv_mcm.detect.cascade.model import encode_model
 from auv_mcm.model_file import NONE
 from auv_mcm.settings.config import Config
-from auv_mcm.skips import NO_SKIPS, Skips
 from sim_replay.benches.run_time.one_run import DEFAULT
 from sim_replay.missions import unconfirmed, untrained_alone
 
@@ -29,16 +25,13 @@ class ChainSetting(NamedTuple):
     """Name one way to run the chain.
 
     knob: what is turned; value: to what. configure: makes its configuration from the mission's; what that names is
-    written into the folder given. thoroughness: of each look. without_skips: those that are switched off.
-    is_plain_script: not the chain at all.
+    written into the folder given. is_plain_script: not the chain at all.
     """
 
     name: str
     knob: str
     value: str
     configure: Configure
-    thoroughness: Thoroughness = Thoroughness()
-    without_skips: Skips = NO_SKIPS
     is_plain_script: bool = False
 
 
@@ -85,10 +78,6 @@ def _shallow(n_groups: int) -> ChainSetting:
     return ChainSetting(f"cascade of {n_stumps} stumps", "cascade depth", str(n_stumps), configure)
 
 
-def _look(knob: str, value: str, thoroughness: Thoroughness) -> ChainSetting:
-    return ChainSetting(f"{knob} {value}", knob, value, _same, thoroughness)
-
-
 def _unconfirmed(config: Config, _: Path) -> Config:
     return unconfirmed(config)
 
@@ -97,23 +86,10 @@ def _untrained(config: Config, _: Path) -> Config:
     return untrained_alone(config)
 
 
-_NODES_4: Final = ((4, 1.0, 20),)  # (nodes, pixels a move goes, sweeps at most): see confirm.snake
-_NODES_8: Final = ((8, 3.0, 20), (8, 1.0, 20), (0, 0.0, 1), (0, 1.0, 10))  # the same, with twice as many nodes
-_NODES_24: Final = (*FINE[:-2], (24, 1.0, 20), *FINE[-2:])
-_QUARTER: Final = Effort(128, 5, 12, 6, 2, 12, 6)
-_HALF: Final = Effort(256, 6, 12, 6, 2, 14, 8)
-_TWICE: Final = Effort(1024, 14, 22, 6, 4, 28, 8)
-
-
-def default_point() -> ChainSetting:
-    """Return the chain as the package ships it."""
-    return ChainSetting(DEFAULT, DEFAULT, "", _same)
-
-
 def chain_settings() -> tuple[ChainSetting, ...]:
     """List every operating point, the default first."""
     return (
-        default_point(),
+        ChainSetting(DEFAULT, DEFAULT, "", _same),
         ChainSetting(PLAIN, "reference", "", _same, is_plain_script=True),
         ChainSetting("contrasts alone", "reference", "", _untrained),
         ChainSetting("cascade alone", "reference", "", _unconfirmed),
@@ -125,11 +101,4 @@ def chain_settings() -> tuple[ChainSetting, ...]:
         *(_pixels(*size) for size in ((0.108, 0.054), (0.132, 0.066), (0.24, 0.12))),
         ChainSetting("no cascade", "cascade depth", "0", partial(_set, "detect", {"model": NONE})),
         *(_shallow(n) for n in (10, 15, 20)),
-        _look("contour nodes", "4", Thoroughness(fine=_NODES_4)),
-        _look("contour nodes", "8", Thoroughness(fine=_NODES_8)),
-        _look("contour nodes", "24", Thoroughness(fine=_NODES_24)),
-        *(_look("field sweeps", str(n), Thoroughness(n_sweeps=n)) for n in (1, 2, 10)),
-        _look("solid hypotheses", "quarter", Thoroughness(effort=_QUARTER)),
-        _look("solid hypotheses", "half", Thoroughness(effort=_HALF)),
-        _look("solid hypotheses", "twice", Thoroughness(effort=_TWICE)),
     )

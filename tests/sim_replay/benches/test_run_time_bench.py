@@ -12,10 +12,8 @@ import msgspec
 import pytest
 
 from auv_mcm.cli import main
-from auv_mcm.confirmation import Thoroughness
 from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.settings.config import Config
-from auv_mcm.skips import SKIPS
 from sim_replay.augment.recorded_line import scattered
 from sim_replay.benches.run_time import plain_script
 from sim_replay.benches.run_time.apart import WITHOUT_KERNELS, Apart
@@ -33,7 +31,6 @@ from sim_replay.benches.run_time.results import (
     reason_words,
     require_same_missions,
 )
-from sim_replay.benches.run_time.skip_table import SkipEffect, register_rows, skip_rows
 from sim_replay.benches.run_time.targets import cost_targets, target_rows
 from sim_replay.missions import config_for
 from sim_replay.scoring import ScoredMission, parse_contacts, parse_truth, score_missions
@@ -112,9 +109,7 @@ def test_points_have_names_of_their_own_and_each_turns_something(tmp_path: Path)
     assert every[0].name == DEFAULT
     config = config_for(read_scene("flat"))
     for point in every[1:]:
-        assert (
-            point.is_plain_script or point.configure(config, tmp_path) != config or point.thoroughness != Thoroughness()
-        ), point.name
+        assert point.is_plain_script or point.configure(config, tmp_path) != config, point.name
 
 
 def test_short_missions_keep_all_objects_and_empty_ones_have_none() -> None:
@@ -211,38 +206,12 @@ def test_targets_say_what_missed_and_where_the_time_goes(tmp_path: Path) -> None
     ("arguments", "words"),
     [
         (["--scenes", "moon"], "moon"),
-        (["--skips", "--page", "a.html"], "--page"),
         (["--knobs", "colour"], "colour"),
     ],
 )
 def test_what_is_not_there_is_refused(arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bench", "chain", *arguments]) == 2
     assert words in capsys.readouterr().err
-
-
-def test_the_skip_table_says_what_is_lost_and_new_among_called() -> None:
-    def point(name: str, called: tuple[tuple[float, float], ...], digest: str) -> SettingResult:
-        run = msgspec.structs.replace(a_run(2.0), called=called, contacts_sha256=digest)
-        return msgspec.structs.replace(a_point(name, 2.0), runs={"flat 1": run})
-
-    ours, other = (
-        point(DEFAULT, ((1.0, 1.0), (2.0, 2.0)), "a"),
-        point("without gate", ((2.0, 2.0), (3.0, 3.0), (4.0, 4.0)), "b"),
-    )
-    effect = SkipEffect(mission="flat 1", skip="gate", count=7, with_skip=ours, without=other)
-    (row,) = skip_rows([effect, msgspec.structs.replace(effect, count=0)])
-    assert row == [
-        "flat 1",
-        "gate",
-        "7",
-        "1.00 (1.00-1.00)",
-        "3 -> 3",
-        "2 -> 3",
-        "1 and 2",
-        *["10 -> 10 of 20"] * 2,
-        "no",
-    ]
-    assert len(register_rows()) == len(SKIPS)
 
 
 def test_without_kernels_the_bench_runs_numpy(tmp_path: Path) -> None:
