@@ -17,7 +17,7 @@ from auv_mcm.errors import BadInputError
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.safe_files import read_regular
 from sim_replay.logs.image_sidecar import MAX_LENGTH_M, Corners, Sidecar
-from sim_replay.logs.transverse_mercator import utm_to_geodetic
+from sim_replay.logs.xtf_navigation import projection
 
 Floats = NDArray[np.float64]
 
@@ -242,9 +242,9 @@ def affine_of(tags: dict[str, Any]) -> Floats | None:
 def _geodetic(image: Path, x: float, y: float, system: int) -> tuple[float, float]:
     if system == _GEOGRAPHIC and abs(x) <= 180.0 and abs(y) <= 90.0:
         return y, x
-    for first, north in ((_UTM_NORTH, True), (_UTM_SOUTH, False)):
-        if 1 <= system - first <= _N_ZONES and abs(x) <= _UTM_EAST_M and abs(y) <= _UTM_NORTH_M:
-            return utm_to_geodetic(x, y, system - first, north=north)
+    in_utm = any(1 <= system - first <= _N_ZONES for first in (_UTM_NORTH, _UTM_SOUTH))
+    if in_utm and abs(x) <= _UTM_EAST_M and abs(y) <= _UTM_NORTH_M:
+        return projection(system)(x, y)
     raise BadInputError(
         f"{image}: its coordinate system (EPSG {system}) is not WGS 84 in degrees (4326) or UTM (32601 to 32760), or "
         "its coordinates lie outside. Export it in one of these, or give `corners` in the sidecar."
