@@ -2,7 +2,6 @@
 
 auv-mcm bench domains                             flies, judges and prints
 auv-mcm bench domains --log LINE.xtf              a recorded line with embedded targets as a further domain
-auv-mcm bench domains --plot FILE                 draws the reliability of every domain as well
 
 The weights that ship were fitted on the named scenes but seagrass, with other seeds; no recorded line taught them, and
 of the recorders only 16-bit amplitude of one look. Pd is at the threshold that gives the false alarms.
@@ -14,7 +13,7 @@ import argparse
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import msgspec
 import numpy as np
@@ -22,7 +21,6 @@ from numpy.typing import NDArray
 
 from auv_mcm.contacts.background import BIN_NATS, LEVELS_NATS, shipped_background
 from auv_mcm.detect.belief import probability
-from auv_mcm.errors import UsageError
 from sim_replay.benches.experiment import Cell, Column, Experiment, Task, density, number, share
 from sim_replay.benches.point import Judged, judged
 from sim_replay.fitting.fit_background import SortedContacts, flown_along, flown_scene
@@ -36,16 +34,11 @@ from sim_replay.scoring.thresholds import threshold_at
 from sim_replay.simulator.scene_file import named_scenes, read_scene
 from sim_replay.text_tables import NOTHING, columns, share_cell
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 FIXED_P_MINE: Final = 0.2  # what a fixed threshold reaches, which the operating point replaces
 
 
 OWN: Final = "own"  # recorder of the scene or line
 _RELIABILITY_HEADER: Final = ("domains", "p_mine", "contacts", "mean p_mine", "on mines")
-_RESOLUTION_DPI: Final = 120  # legible where the page is half as wide
-_COLUMNS: Final = 4  # diagrams beside one another
 
 
 def fly(task: Task) -> dict[str, SortedContacts]:
@@ -116,43 +109,6 @@ def within_mission(one: Judged) -> tuple[NDArray[np.float64], NDArray[np.float64
     return np.array([probability(value) for value in log_odds]), mine_share[level_bin], is_mine
 
 
-def save_diagrams(groups: Mapping[str, Sequence[SortedContacts]], path: Path) -> None:
-    """Draw the share of contacts on mines over p_mine, a diagram per domain.
-
-    The suffix chooses the format. Raises UsageError for one that is not a picture format or a file that cannot be
-    written.
-    """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    n_rows = -(-len(groups) // _COLUMNS)
-    figure = Figure(figsize=(3.0 * _COLUMNS, 2.8 * n_rows), dpi=_RESOLUTION_DPI, layout="constrained")
-    known = FigureCanvasAgg(figure).get_supported_filetypes()
-    if path.suffix.lower().lstrip(".") not in known:
-        raise UsageError(f"--plot {path}: '{path.suffix}' is not a picture format. Use a name that ends in .png")
-    for place, (name, missions) in enumerate(groups.items(), 1):
-        _draw(figure, n_rows, place, name, reliability(missions))
-    try:
-        figure.savefig(path)
-    except OSError as error:
-        raise UsageError(f"--plot {path} cannot be written: {error.strerror}") from error
-
-
-def _draw(figure: Figure, n_rows: int, number: int, name: str, found: Calibration) -> None:
-    axes = figure.add_subplot(n_rows, _COLUMNS, number)
-    shares = [one.on_mines for one in found.bins]
-    middle = np.array([one.mean_p_mine for one in found.bins])
-    value, low, high = (np.array([getattr(bar, part) or 0.0 for bar in shares]) for part in ("value", "low", "high"))
-    axes.plot([0.0, 1.0], [0.0, 1.0], color="0.6", linewidth=1.0)
-    axes.errorbar(middle, value, yerr=np.abs([value - low, high - value]), fmt="o", markersize=3.0, color="#1f4e79")
-    error = "" if found.error is None else f", error {found.error:.3f}"
-    axes.set_title(f"{name}{error}", fontsize=9)
-    axes.set_xlim(0.0, 1.0)
-    axes.set_ylim(0.0, 1.0)
-    axes.set_xlabel("p_mine", fontsize=8)
-    axes.set_ylabel("share on mines", fontsize=8)
-
-
 def _n_targets(missions: Sequence[SortedContacts]) -> int:
     return sum(one.n_targets for one in missions)
 
@@ -191,14 +147,8 @@ def _words(flown: Sequence[Mapping[str, SortedContacts]]) -> str:
     return columns(_RELIABILITY_HEADER, rows)
 
 
-def _draw_asked(arguments: argparse.Namespace, flown: Sequence[Mapping[str, SortedContacts]]) -> None:
-    if arguments.plot is not None:
-        save_diagrams(grouped([one for each in flown for one in each.values()]), arguments.plot)
-
-
 def _add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--no-recorders", action="store_true", help="leave out the recorders")
-    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw reliability diagrams (.png, .svg, .pdf)")
 
 
 def _reliability_rows(name: str, found: Calibration) -> list[list[str]]:
@@ -248,5 +198,4 @@ EXPERIMENT: Final = Experiment(
     add_options=_add_options,
     own_options=("no_recorders",),
     words=_words,
-    draw=_draw_asked,
 )

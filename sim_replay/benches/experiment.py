@@ -79,7 +79,7 @@ class Experiment(NamedTuple, Generic[Result]):
     a module's top level, so that processes can share the work. n_draws: of targets per recorded line; 0 if it takes
     none. by_scene: whether each scene has rows of its own, before those of all. add_options: adds the experiment's own
     options, of which `own_options` names those that `fly` needs. words: says below the table what fits in no column.
-    draw: does what further options ask for. A mission may lack variants, but for the first where figures are paired.
+    A mission may lack variants, but for the first where figures are paired.
     """
 
     name: str
@@ -95,7 +95,6 @@ class Experiment(NamedTuple, Generic[Result]):
     add_options: Callable[[argparse.ArgumentParser], None] = lambda parser: None
     own_options: tuple[str, ...] = ()
     words: Callable[[Sequence[Mapping[str, Result]]], str] = lambda flown: ""
-    draw: Callable[[argparse.Namespace, Sequence[Mapping[str, Result]]], None] = lambda arguments, flown: None
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         """Add the options that every experiment has, and its own."""
@@ -157,7 +156,6 @@ class Experiment(NamedTuple, Generic[Result]):
         if old is not None:
             print("\nmoved:\n" + ("\n".join(moved_figures(old, results)) or "nothing"))
         write_result("--json", arguments.json, msgspec.json.format(msgspec.json.encode(results), indent=1))
-        self.draw(arguments, flown)
         return 0
 
 

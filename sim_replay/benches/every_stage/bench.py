@@ -17,7 +17,6 @@ import msgspec
 
 from auv_mcm.errors import UsageError
 from sim_replay.arguments import count, new_file
-from sim_replay.benches.every_stage.page import every_stage_page
 from sim_replay.benches.every_stage.rows import Alternative, Cost, StageRow, measured
 from sim_replay.benches.every_stage.stages import STAGES
 from sim_replay.benches.run_time.bench import progress, write_result
@@ -64,7 +63,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--stages", help=f"stages, with commas between (default: {','.join(STAGES)})")
     parser.add_argument("--repeat", type=count, default=5, help="repetitions of every work, in turn (default 5)")
     parser.add_argument("--json", type=new_file, metavar="FILE", help="write everything measured to FILE")
-    parser.add_argument("--page", type=new_file, metavar="FILE", help="write a page with plots and the table to FILE")
     parser.add_argument(
         "--compare", type=Path, metavar="OLD", help="say what moved beyond noise since a run that --json wrote"
     )
@@ -99,8 +97,6 @@ def run(arguments: argparse.Namespace) -> int:
     if old is not None:
         print("\nmoved beyond noise:\n" + ("\n".join(moved_since(old, results)) or "nothing"))
     write_result("--json", arguments.json, msgspec.json.format(msgspec.json.encode(results), indent=1))
-    page = every_stage_page(results.machine, results.rows, HEADER, stage_cells(results.rows))
-    write_result("--page", arguments.page, page.encode())
     return 0 if all([*(row.holds for row in rows), *(row.holds for row in stress)]) else _FAILED
 
 

@@ -21,7 +21,6 @@ from sim_replay.benches.run_time.apart import Apart, measure_apart
 from sim_replay.benches.run_time.lines import FIRST_SEED, BenchMission, augment_logs, fly_empty, fly_scenes
 from sim_replay.benches.run_time.measure import measure_settings, this_machine
 from sim_replay.benches.run_time.one_run import DEFAULT
-from sim_replay.benches.run_time.page import run_time_page
 from sim_replay.benches.run_time.points import PLAIN, ChainSetting, chain_settings
 from sim_replay.benches.run_time.quick import quick_checks
 from sim_replay.benches.run_time.results import (
@@ -63,7 +62,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     }.items():
         instead.add_argument(name, action="store_true", help=does)
     parser.add_argument("--json", type=new_file, metavar="FILE", help="write everything measured to FILE")
-    parser.add_argument("--page", type=new_file, metavar="FILE", help="write a page with plot and tables to FILE")
     parser.add_argument(
         "--compare", type=Path, metavar="OLD", help="say what moved beyond noise since a run that --json wrote"
     )
@@ -105,7 +103,6 @@ def run(arguments: argparse.Namespace) -> int:
     if old is not None:
         print("\nmoved beyond noise:\n" + ("\n".join(changes_since(old, results)) or "nothing"))
     write_result("--json", arguments.json, msgspec.json.format(msgspec.json.encode(results), indent=1))
-    write_result("--page", arguments.page, run_time_page(results).encode())
     return 0
 
 

@@ -113,21 +113,6 @@ def reason_words(results: RunTimeResults) -> str:
     return f"{REASON}. Points that cost less in every repeat and found as many targets at every limit: {found}"
 
 
-def on_front(results: RunTimeResults) -> set[str]:
-    """Name the points that no other beats in time and in Pd at 100 false alarms per km² at once."""
-    values = [
-        (statistics.median(point.process_s()), point.pd[1].count, point.name) for point in results.points if point.pd
-    ]
-    return {
-        name
-        for cost_s, n_found, name in values
-        if not any(
-            (other_s <= cost_s and n_other >= n_found) and (other_s < cost_s or n_other > n_found)
-            for other_s, n_other, _ in values
-        )
-    }
-
-
 def read_results(path: Path) -> RunTimeResults:
     """Read an older run.
 

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import msgspec
 import numpy as np
 import pytest
 
 from auv_mcm.contacts.background import shipped_background
-from auv_mcm.errors import UsageError
 from sim_replay.benches.domains import (
     EXPERIMENT,
     OWN,
     grouped,
     n_found_at,
     reliability,
-    save_diagrams,
     within_mission,
 )
 from sim_replay.benches.experiment import experiment_rows
@@ -70,14 +66,6 @@ def test_a_scene_with_another_recorder_is_valid_and_else_the_same(name: str, rec
     check_scene(other)
     assert other.sonar != scene.sonar
     assert msgspec.structs.replace(other, sonar=scene.sonar) == scene
-
-
-def test_reliability_is_drawn_into_a_file_and_a_format_that_is_not_one_is_rejected(tmp_path: Path) -> None:
-    groups = grouped([drawn_mission(1, "flat"), drawn_mission(2, "rough")])
-    save_diagrams(groups, tmp_path / "reliability.png")
-    assert (tmp_path / "reliability.png").read_bytes().startswith(b"\x89PNG")
-    with pytest.raises(UsageError, match="picture format"):
-        save_diagrams(groups, tmp_path / "reliability.txt")
 
 
 def test_every_scene_and_line_has_a_row_for_each_recorder_that_it_was_flown_with() -> None:

@@ -20,13 +20,10 @@ from sim_replay.benches.run_time.apart import WITHOUT_KERNELS, Apart
 from sim_replay.benches.run_time.lines import BenchMission, with_short_legs, without_objects
 from sim_replay.benches.run_time.measure import BenchMachine, MissionCost, SettingResult, run_once
 from sim_replay.benches.run_time.one_run import DEFAULT
-from sim_replay.benches.run_time.page import run_time_page
 from sim_replay.benches.run_time.points import PLAIN, chain_settings
 from sim_replay.benches.run_time.results import (
     RunTimeResults,
     changes_since,
-    on_front,
-    point_rows,
     read_results,
     reason_words,
     require_same_missions,
@@ -162,21 +159,11 @@ def test_results_survive_their_file_and_others_are_refused(tmp_path: Path) -> No
         read_results(tmp_path / "none.json")
 
 
-def test_the_front_holds_points_that_none_beats_in_both() -> None:
+def test_points_that_cost_less_and_find_as_much_are_named_beside_the_reason_for_the_default() -> None:
     plain = a_point(PLAIN, 1.0, found=5)
     results = of(a_point(DEFAULT, 10.0), a_point("slower", 12.0), a_point("better", 12.0, found=12), plain)
-    assert on_front(results) == {DEFAULT, "better", PLAIN}
     assert reason_words(results).endswith("at every limit: none")
     assert reason_words(of(a_point(DEFAULT, 10.0), a_point("cheaper", 9.0))).endswith("at every limit: cheaper")
-
-
-def test_the_page_rings_the_default_and_stands_alone() -> None:
-    results = of(a_point(DEFAULT, 10.0), a_point("a <b>", 12.0, found=12), a_point(PLAIN, 1.0, found=5))
-    text = run_time_page(results)
-    assert text.count('r="10" fill="none"') == 1
-    assert "a &lt;b&gt;" in text
-    assert "http" not in text
-    assert len(point_rows(results)) == 3
 
 
 def test_targets_say_what_missed_and_where_the_time_goes(tmp_path: Path) -> None:
