@@ -93,40 +93,16 @@ def _jump(random: Random) -> tuple[float, float]:
     return length_deg * math.cos(direction), length_deg * math.sin(direction)
 
 
-def _jump_and_back(log: XtfPieces, random: Random) -> XtfPieces:
-    pings, jump = _pings(log), _jump(random)
-    for header in pings[_some(random, len(pings))]:
-        _move(header, *jump)
-    return log
+def _moved(chosen: Callable[[list[Any], Random], list[Any]]) -> Change:
+    """Move some pings by one jump."""
 
-
-def _jump_and_stay(log: XtfPieces, random: Random) -> XtfPieces:
-    pings, jump = _pings(log), _jump(random)
-    for header in pings[int(random.integers(0, max(len(pings), 1))) :]:
-        _move(header, *jump)
-    return log
-
-
-def _wrong_first_fix(log: XtfPieces, random: Random) -> XtfPieces:
-    pings, jump = _pings(log), _jump(random)
-    for header in pings[: int(random.integers(1, 12))]:
-        _move(header, *jump)
-    return log
-
-
-def _every_other_fix(log: XtfPieces, random: Random) -> XtfPieces:
-    jump, every = _jump(random), int(random.integers(2, 6))
-    for header in _pings(log)[::every]:
-        _move(header, *jump)
-    return log
-
-
-def _half_of_the_fixes(log: XtfPieces, random: Random) -> XtfPieces:
-    jump = _jump(random)
-    for header in _pings(log):
-        if random.random() < 0.5:
+    def change(log: XtfPieces, random: Random) -> XtfPieces:
+        pings, jump = _pings(log), _jump(random)
+        for header in chosen(pings, random):
             _move(header, *jump)
-    return log
+        return log
+
+    return change
 
 
 def _scattered_fixes(log: XtfPieces, random: Random) -> XtfPieces:
@@ -144,16 +120,19 @@ def _drifting_fixes(log: XtfPieces, random: Random) -> XtfPieces:
     return log
 
 
+def _nonsense(random: Random, share: float, spread: float) -> float:
+    """Draw one of the values that are nonsense, or by 1 - share a number of so wide a spread."""
+    if random.random() < share:
+        return _NONSENSE[int(random.integers(len(_NONSENSE)))]
+    return float(random.normal(0.0, spread))
+
+
 def _set_fields(*names: str) -> Change:
     """Set one of the fields to one value, over a stretch of pings or in all."""
 
     def change(log: XtfPieces, random: Random) -> XtfPieces:
         name = names[int(random.integers(len(names)))]
-        value = (
-            _NONSENSE[int(random.integers(len(_NONSENSE)))]
-            if random.random() < 0.6
-            else float(random.normal(0.0, 100.0))
-        )
+        value = _nonsense(random, 0.6, 100.0)
         pings = _pings(log)
         for header in pings if random.random() < 0.5 else pings[_some(random, len(pings))]:
             _set(header, name, value)
@@ -179,10 +158,7 @@ def _random_fields(log: XtfPieces, random: Random) -> XtfPieces:
         field[0] for field in pyxtf.XTFPingHeader._fields_ if field[0] not in ("MagicNumber", "NumBytesThisRecord")
     ]
     for _ in range(int(random.integers(1, 30))):
-        name = names[int(random.integers(len(names)))]
-        value = (
-            _NONSENSE[int(random.integers(len(_NONSENSE)))] if random.random() < 0.5 else float(random.normal(0.0, 1e4))
-        )
+        name, value = names[int(random.integers(len(names)))], _nonsense(random, 0.5, 1e4)
         _set(pings[int(random.integers(len(pings)))], name, value)
     return log
 
@@ -224,21 +200,12 @@ def _clock(log: XtfPieces, random: Random) -> XtfPieces:
     pings = _pings(log)
     part = pings[_some(random, len(pings))]
     how = int(random.integers(4))
-    if how == 1:
-        fields = ("Year", "Month", "Day", "Hour", "Minute", "Second", "HSeconds")
-        times = [[getattr(header, name) for name in fields] for header in reversed(part)]
-        for header, time in zip(part, times, strict=True):
-            for name, value in zip(fields, time, strict=True):
+    fields = ("Year", "Month", "Day", "Hour", "Minute", "Second", "HSeconds")
+    times = [[getattr(header, name) for name in fields] for header in part]
+    for header, first, backwards in zip(part, times[:1] * len(part), times[::-1], strict=True):
+        if how < 2:
+            for name, value in zip(fields, backwards if how else first, strict=True):
                 setattr(header, name, value)
-        return log
-    for header in part:
-        if how == 0:
-            header.Hour, header.Minute, header.Second, header.HSeconds = (
-                part[0].Hour,
-                part[0].Minute,
-                part[0].Second,
-                part[0].HSeconds,
-            )
         elif how == 2:
             header.Year = int(random.choice([1970, 1980, 2150, 9999]))
         else:
@@ -279,9 +246,7 @@ def _channel_fields(log: XtfPieces, random: Random) -> XtfPieces:
         packet = log.packets[int(random.integers(len(log.packets)))]
         if packet[2] != _SONAR or len(packet) < _PING_HEADER_BYTES + _CHANNEL_HEADER_BYTES:
             continue
-        value = (
-            _NONSENSE[int(random.integers(len(_NONSENSE)))] if random.random() < 0.5 else float(random.normal(0.0, 1e3))
-        )
+        value = _nonsense(random, 0.5, 1e3)
         _set(
             pyxtf.XTFPingChanHeader.from_buffer(packet, _PING_HEADER_BYTES),
             names[int(random.integers(len(names)))],
@@ -309,18 +274,16 @@ def _samples(log: XtfPieces, random: Random) -> XtfPieces:
 # --- bytes -----------------------------------------------------------------------------------------------------------
 
 
-def _flipped_bits(log: XtfPieces, random: Random) -> bytes:
-    data = bytearray(log.joined())
-    for _ in range(int(random.integers(1, 200))):
-        data[int(random.integers(len(data)))] ^= 1 << int(random.integers(8))
-    return bytes(data)
+def _flipped_bits(n_bits: int, n_bytes: int | None) -> Change:
+    """Flip fewer bits than so many, in the first bytes or anywhere."""
 
+    def change(log: XtfPieces, random: Random) -> bytes:
+        data = bytearray(log.joined())
+        for _ in range(int(random.integers(1, n_bits))):
+            data[int(random.integers(n_bytes or len(data)))] ^= 1 << int(random.integers(8))
+        return bytes(data)
 
-def _flipped_header_bits(log: XtfPieces, random: Random) -> bytes:
-    data = bytearray(log.joined())
-    for _ in range(int(random.integers(1, 20))):
-        data[int(random.integers(FILE_HEADER_BYTES))] ^= 1 << int(random.integers(8))
-    return bytes(data)
+    return change
 
 
 def _truncated(log: XtfPieces, random: Random) -> bytes:
@@ -352,19 +315,19 @@ def _joined_twice(log: XtfPieces, random: Random) -> bytes:
 
 
 JUMPS: Final[dict[str, Change]] = {
-    "jump and back": _jump_and_back,
-    "jump that stays": _jump_and_stay,
-    "wrong first fixes": _wrong_first_fix,
-    "every n-th fix elsewhere": _every_other_fix,
-    "half of the fixes elsewhere": _half_of_the_fixes,
+    "jump and back": _moved(lambda pings, random: pings[_some(random, len(pings))]),
+    "jump that stays": _moved(lambda pings, random: pings[int(random.integers(0, max(len(pings), 1))) :]),
+    "wrong first fixes": _moved(lambda pings, random: pings[: int(random.integers(1, 12))]),
+    "every n-th fix elsewhere": _moved(lambda pings, random: pings[:: int(random.integers(2, 6))]),
+    "half of the fixes elsewhere": _moved(lambda pings, random: [one for one in pings if random.random() < 0.5]),
     "scattered fixes": _scattered_fixes,
     "drifting fixes": _drifting_fixes,
 }
 """Navigation jumps of 10 m to 90 degrees."""
 
 BYTES: Final[dict[str, Change]] = {
-    "flipped bits": _flipped_bits,
-    "flipped bits in the file header": _flipped_header_bits,
+    "flipped bits": _flipped_bits(200, None),
+    "flipped bits in the file header": _flipped_bits(20, FILE_HEADER_BYTES),
     "cut off": _truncated,
     "bytes inserted": _inserted,
     "bytes removed": _removed,
