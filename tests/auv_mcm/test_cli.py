@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
@@ -352,26 +353,19 @@ def test_check_says_loudly_that_numpy_does_the_work_of_the_kernels(
     assert "not built: install a C compiler" in line
 
 
-def test_ctrl_c_is_one_line_and_exit_code_130(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("raised", "code", "words"),
+    [
+        (KeyboardInterrupt(), 130, "interrupted"),
+        (OSError(28, "No space left on device", "/out/report.html"), 4, "/out/report.html: No space left on device"),
+    ],
+)
+def test_ctrl_c_and_a_full_disk_are_one_line_and_an_exit_code(
+    raised: BaseException, code: int, words: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def interrupted(*_: object, **__: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("sim_replay.replay.replay", interrupted)
-    assert main(["replay", "a.xtf", "--out", "o"]) == 130
-    assert error_of(capsys) == "auv-mcm: interrupted"
-
-
-def test_a_full_disk_is_one_line_and_exit_code_4(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def full(*_: object, **__: object) -> None:
-        raise OSError(28, "No space left on device", "/out/report.html")
-
-    monkeypatch.setattr("sim_replay.replay.replay", full)
-    assert main(["replay", "a.xtf", "--out", "o"]) == 4
-    assert error_of(capsys) == "auv-mcm: /out/report.html: No space left on device"
+    monkeypatch.setattr("sim_replay.replay.replay", Mock(side_effect=raised))
+    assert main(["replay", "a.xtf", "--out", "o"]) == code
+    assert error_of(capsys) == f"auv-mcm: {words}"
 
 
 def test_without_the_bench_extra_replay_says_what_to_install(tmp_path: Path) -> None:

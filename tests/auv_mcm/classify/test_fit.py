@@ -156,14 +156,6 @@ def test_squinted_views_give_azimuth_and_place_of_the_object(squint: float) -> N
     assert fit.best.ground_range_m == pytest.approx(20.0, abs=0.1)
 
 
-def test_gain_and_repetition_change_nothing() -> None:
-    region = closed_form_region(SHAPES["wedge"], 25.0, random=random_numbers(3), beam_width_rad=0.007)
-    once, again = (fit_shapes(region, None, 1.0, effort=SMALL) for _ in range(2))
-    assert msgspec.msgpack.encode(once.fits) == msgspec.msgpack.encode(again.fits)
-    louder = fit_shapes(msgspec.structs.replace(region, intensity=region.intensity * 2.0**20), None, 1.0, effort=SMALL)
-    assert msgspec.msgpack.encode(louder.fits) == msgspec.msgpack.encode(once.fits)
-
-
 def test_an_object_mirrored_along_the_track_is_the_same_object_mirrored() -> None:
     region = closed_form_region(SHAPES["cylinder"], 20.0, random=random_numbers(4))
     mirrored = msgspec.structs.replace(region, intensity=region.intensity[::-1], row=61.0 - region.row)

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -109,9 +110,14 @@ def test_a_reserve_of_the_disk_is_kept(tmp_path: Path) -> None:
     assert "reserved for results" in notice.text
 
 
-def test_a_disk_that_is_full_from_the_start_is_reported(tmp_path: Path) -> None:
-    recorder = SessionRecorder(tmp_path, description(), free_bytes=lambda folder: 0)
-    recorder.record("gps", "in", Stamp(1, 1), b"abc")
+@pytest.mark.parametrize(
+    ("free", "stamp"), [({"free_bytes": lambda folder: 0}, Stamp(1, 1)), ({}, Stamp(-1, -1))], ids=["full", "defect"]
+)
+def test_a_full_disk_and_a_defect_of_the_recorder_itself_are_reported_and_end_no_mission(
+    free: dict[str, Any], stamp: Stamp, tmp_path: Path
+) -> None:
+    recorder = SessionRecorder(tmp_path, description(), **free)
+    recorder.record("gps", "in", stamp, b"abc")  # no clock reads -1
     recorder.close()
     assert recorder.counters == {"session.chunks_lost": 1, "session.bytes_lost": 3}
     assert [notice.code for notice in recorder.take_notices()] == ["session_stopped"]
@@ -149,14 +155,6 @@ def test_a_disk_that_is_too_slow_loses_what_does_not_fit_and_marks_the_place(tmp
     assert list(session := Session(tmp_path)) == [*chunks[: len(chunks) - n_lost], chunks[0]]
     assert session.counters == {"session.chunks_lost": n_lost, "session.bytes_lost": bytes_lost}
     assert [notice.code for notice in session.notices] == ["session_bytes_lost"]
-
-
-def test_a_defect_of_the_recorder_itself_does_not_end_the_mission(tmp_path: Path) -> None:
-    recorder = SessionRecorder(tmp_path, description())
-    recorder.record("gps", "in", Stamp(-1, -1), b"abc")  # no clock reads that
-    recorder.close()
-    assert recorder.counters == {"session.chunks_lost": 1, "session.bytes_lost": 3}
-    assert [notice.code for notice in recorder.take_notices()] == ["session_stopped"]
 
 
 def test_a_folder_that_cannot_serve_is_refused_in_words(tmp_path: Path) -> None:

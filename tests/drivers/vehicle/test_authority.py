@@ -71,22 +71,13 @@ class AnyOrder(RuleBasedStateMachine):
             case GiveBack():
                 self.note("give back")
 
-    @rule()
-    def connect(self) -> None:
+    @rule(change=st.sampled_from(["connected", "disconnected"]))
+    def connect_or_disconnect(self, change: str) -> None:
         before = self.authority.state
-        action = self.authority.connected(self.now_s)
+        action = getattr(self.authority, change)(self.now_s)
         assert isinstance(action, GiveBack) == (before in ("requested", "granted"))
         self.done(action)
-        self.note("connected")
-        assert self.authority.state == "down"
-
-    @rule()
-    def disconnect(self) -> None:
-        before = self.authority.state
-        action = self.authority.disconnected(self.now_s)
-        assert isinstance(action, GiveBack) == (before in ("requested", "granted"))
-        self.done(action)
-        self.note("disconnected")
+        self.note(change)
         assert self.authority.state == "down"
 
     @rule()
@@ -155,7 +146,7 @@ class AnyOrder(RuleBasedStateMachine):
 
     def teardown(self) -> None:
         """Check that a vehicle that answers and grants every request is commanded in bounded time."""
-        self.connect()
+        self.connect_or_disconnect("connected")
         start_s = self.now_s
         self.wanted = True
         while self.authority.state != "granted":

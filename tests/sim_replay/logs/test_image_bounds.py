@@ -99,26 +99,25 @@ def test_a_trap_is_refused_in_bounded_memory(name: str, trap: str, seeds: dict[s
 # --- what parsers raised ---
 
 
-def counts_of_another_image(path: Path) -> None:
-    """Offsets of more strips than there are lengths: `zip() argument 2 is longer`."""
+def with_tag(path: Path, tag: int, form: str, offset: int, value: int) -> None:
+    """A TIFF of strips with a number so far behind the beginning of a tag."""
     tifffile.imwrite(path, plane(), compression="zlib", rowsperstrip=10, photometric="minisblack")
     data = bytearray(path.read_bytes())
     (directory,) = struct.unpack_from("<I", data, 4)
     for place in range(directory + 2, directory + 2 + 12 * struct.unpack_from("<H", data, directory)[0], 12):
-        if struct.unpack_from("<H", data, place)[0] == 279:  # StripByteCounts
-            struct.pack_into("<I", data, place + 4, 2)
+        if struct.unpack_from("<H", data, place)[0] == tag:
+            struct.pack_into(form, data, place + offset, value)
     path.write_bytes(data)
+
+
+def counts_of_another_image(path: Path) -> None:
+    """Offsets of more strips than there are lengths: `zip() argument 2 is longer`."""
+    with_tag(path, 279, "<I", 4, 2)  # StripByteCounts
 
 
 def unknown_compression(path: Path) -> None:
     """A number that names no compression: `'int' object has no attribute 'name'`."""
-    tifffile.imwrite(path, plane(), compression="zlib", photometric="minisblack")
-    data = bytearray(path.read_bytes())
-    (directory,) = struct.unpack_from("<I", data, 4)
-    for place in range(directory + 2, directory + 2 + 12 * struct.unpack_from("<H", data, directory)[0], 12):
-        if struct.unpack_from("<H", data, place)[0] == 259:  # Compression
-            struct.pack_into("<H", data, place + 8, 54321)
-    path.write_bytes(data)
+    with_tag(path, 259, "<H", 8, 54321)  # Compression
 
 
 def broken_group(path: Path) -> None:

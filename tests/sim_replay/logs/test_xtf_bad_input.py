@@ -352,32 +352,24 @@ def test_another_number_of_samples_is_delivered_and_reported_once(tmp_path: Path
 
 
 @pytest.mark.parametrize("value", [0.0, -3.0, math.nan, math.inf])
-def test_a_ping_without_slant_range_is_skipped(tmp_path: Path, value: float) -> None:
+@pytest.mark.parametrize(
+    ("channels", "counter", "without_port"),
+    [((0, 1), "ping_empty", [False] * 3), ((0,), "side_empty", [False, True] * 2)],
+)
+def test_a_ping_or_side_without_slant_range_is_left_out(
+    channels: tuple[int, ...], counter: str, without_port: list[bool], value: float, tmp_path: Path
+) -> None:
     path = written(tmp_path / "log.xtf", 5)
 
-    def change(index: int, _: int, header: Any) -> None:
-        if index in (1, 3):
+    def change(index: int, channel: int, header: Any) -> None:
+        if index in (1, 3) and channel in channels:
             header.SlantRange, header.TimeDuration = value, 0.0
 
     edit_channels(path, change)
     events, log = read(path)
-    assert len(pings_of(events)) == 3
-    assert log.counters["reader.ping_empty"] == 2
-    assert codes_of(events) == ["reader.ping_empty"]
-
-
-def test_one_side_without_slant_range_is_left_out(tmp_path: Path) -> None:
-    path = written(tmp_path / "log.xtf", 3)
-
-    def change(index: int, channel: int, header: Any) -> None:
-        if (index, channel) == (1, 0):
-            header.SlantRange = header.TimeDuration = 0.0
-
-    edit_channels(path, change)
-    events, log = read(path)
-    assert [p.port is None for p in pings_of(events)] == [False, True, False]
-    assert log.counters["reader.side_empty"] == 1
-    assert codes_of(events) == ["reader.side_empty"]
+    assert [p.port is None for p in pings_of(events)][:4] == without_port
+    assert log.counters[f"reader.{counter}"] == 2
+    assert codes_of(events) == [f"reader.{counter}"]
 
 
 def test_a_ping_without_samples_is_skipped(tmp_path: Path) -> None:
