@@ -19,7 +19,7 @@ from sim_replay.fitting.cascade.farm import Farm
 from sim_replay.fitting.fit_odds import written
 from sim_replay.fitting.looks import DRAWN, LookTask
 from sim_replay.fitting.recorders import RECORDED_SCENES, RECORDERS
-from sim_replay.fitting.verifier.mill import DENSE, FIRST_SEED, FIRST_SHELLY, MINE, fly_all
+from sim_replay.fitting.verifier.mill import DENSE, FIRST_SEED, FIRST_SHELLY, FIRST_SLABS, FIRST_STAINED, MINE, fly_all
 from sim_replay.fitting.verifier.train import N_EPOCHS, ChipTable, train, written_as_onnx
 from sim_replay.fitting.verifier.weigh import (
     LIMITS_PER_KM2,
@@ -37,9 +37,15 @@ from sim_replay.text_tables import columns
 
 N_JUDGED: Final = 36
 """Dense drawn missions, the first, that the network is never trained on."""
-N_MISSIONS: Final = 497
+N_MISSIONS: Final = 745
 """Dense drawn missions that the shipped network was trained on."""
-_LEARNT: Final = (*range(FIRST_SEED + N_JUDGED, FIRST_SEED + 256), *range(FIRST_SHELLY, FIRST_SHELLY + 10_000))
+_N_LATER: Final = (12, 10)  # missions with slabs, and with patches, that the network is never trained on
+_LEARNT: Final = (
+    *range(FIRST_SEED + N_JUDGED, FIRST_SEED + 256),
+    *range(FIRST_SHELLY, FIRST_SHELLY + 277),
+    *range(FIRST_SLABS + _N_LATER[0], FIRST_SLABS + 170),
+    *range(FIRST_STAINED + _N_LATER[1], FIRST_STAINED + 10_000),
+)
 SCENE_SEEDS: Final = (1200,)
 """Seeds of missions of named scenes, which weights are fitted on."""
 USUAL_SEEDS: Final = range(FIRST_SEED + 10_000, FIRST_SEED + 10_040)
@@ -47,6 +53,7 @@ USUAL_SEEDS: Final = range(FIRST_SEED + 10_000, FIRST_SEED + 10_040)
 USUAL: Final = ("scenes", "drawn")
 """Groups of missions as dense as missions are."""
 _DENSE: Final = "drawn, dense"
+_LATER: Final = ("slabs", "slabs, patches")
 _RECORDED: Final = "recorders"
 _BINS: Final = (0.0, 0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 0.97, 1.0)  # of p_mine
 
@@ -139,6 +146,8 @@ def missions(n_missions: int) -> tuple[list[LookTask], list[tuple[str, LookTask]
     """List the missions to train on, and those to weigh and judge on with their group."""
     learnt = [LookTask(DRAWN, seed, DENSE) for seed in _LEARNT[:n_missions]]
     judged = [(_DENSE, LookTask(DRAWN, seed, DENSE)) for seed in range(FIRST_SEED, FIRST_SEED + N_JUDGED)]
+    for group, first, n in zip(_LATER, (FIRST_SLABS, FIRST_STAINED), _N_LATER, strict=True):
+        judged += [(group, LookTask(DRAWN, seed, DENSE)) for seed in range(first, first + n)]
     judged += [(USUAL[0], LookTask(name, seed)) for name in SCENES for seed in SCENE_SEEDS]
     judged += [(USUAL[1], LookTask(DRAWN, seed)) for seed in USUAL_SEEDS]
     judged += [

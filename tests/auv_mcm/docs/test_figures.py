@@ -72,7 +72,7 @@ def verifier() -> tuple[object, ...]:
 
 
 GOLDEN = "python -m tests.golden"
-BANK = r"bank shadows \| (\d+) contacts on ([\d.]+) km², (\w+) mine-like \(at most ([\d.]+)\) and both"
+BANK = r"bank shadows \| (\d+) contacts on ([\d.]+) km², (\w+) mine-like \(at most ([\d.]+)\)"
 MARKED = r"marked by eye \| (\d+) contacts, at most ([\d.]+), (\w+) called"
 LEFT = r"`python -m tests.golden`\), (\d+) targets \| ([\d.]+) \| (\d+) left"
 WEIGHTS = r"evidence counts ([\d.]+) and the detector's log-odds (0\.\d+)"
