@@ -18,6 +18,7 @@ BENCHES: Final = {  # modules of sim_replay with EXPERIMENT, or add_arguments an
     ),
     "scenes": ("benches.scenes", "what is found in the named scenes, and what each step of confirmation adds"),
     "mutants": ("benches.mutants", "damaged logs: none may crash, hang, take memory, or report what cannot be"),
+    "law": ("benches.law", "whether the law of a recorder is recognised, and its decibels per count"),
     "seabed": ("benches.seabed", "the live map of the sea floor against the truth of the named scenes"),
     "clearance": ("benches.clearance", "mines left, estimated against true"),
     "point": (
@@ -37,18 +38,17 @@ FINISHED: Final = {
         "resolution", "simulate", "tours", "waterfall",
     ),
     ("benches-2", _BENCHES_PAGE): ("adapt", "decibels", "left-out", "library", "limit", "performance", "soak"),
-    ("98c88e62", _BENCHES_PAGE): ("law",),
     ("studies-1", _STUDIES_PAGE): (
         "beliefs", "collage", "families", "figure12", "figure13", "filters", "fusion", "images", "inversion", "pfa",
         "sas", "segmentation", "shadow", "shapes", "snakes", "verifier",
     ),
 }  # fmt: skip
-"""Benches whose figures are in the documentation, by the tag or commit that holds them and the page that says how to
-run them."""
+"""Benches whose figures are in the documentation, by the tag of the sources that holds them and the page that says how
+to run them."""
 INSTEAD: Final = {
     "cascade": "bench all --stages cascade", "confirmation": "bench all --stages field,contours,solids",
     "framers": "bench all --stages framers", "froc": "bench scenes --log LOG",
-    "law": "info LOG", "left-out": "calibrate odds --judged 1 --judge-log LINE.xtf", "performance": "bench clearance",
+    "left-out": "calibrate odds --judged 1 --judge-log LINE.xtf", "performance": "bench clearance",
     "segmentation": "bench all --stages field", "shapes": "bench all --stages solids",
     "simulate": "bench all --stages simulator", "snakes": "bench all --stages contours",
     "soak": "hil soak cut_off stop_under_load", "tours": "bench all --stages planner", "waterfall": "bench chain",
@@ -74,11 +74,11 @@ def add(commands: Commands) -> None:
 
 
 def _run(chosen: argparse.Namespace) -> int:
-    for (version, page), names in FINISHED.items():
+    for (tag, page), names in FINISHED.items():
         if chosen.bench in names:
             instead = INSTEAD.get(chosen.bench)
             raise UsageError(
-                f"'{chosen.bench}' is finished, and kept in the sources at {version}: {page} says where its "
+                f"'{chosen.bench}' is finished, and kept in the sources at the tag {tag}: {page} says where its "
                 "results are and how to run it"
                 + (f"; 'auv-mcm {instead}' measures something like it" if instead else "")
             )
