@@ -104,8 +104,8 @@ class Pipeline:
     kept: where contacts are kept, in memory if None; they are the same wherever that is.
     early: look at the newest rows before their tile is complete and announce early contacts; all else is the same
     without.
-    reference_pings, overlap_m: of tiles, as of `Waterfall`; an overlap of LOCAL_MEAN_REACH_M gives the same pixels,
-    sooner, to one that detects nothing.
+    reference_pings, overlap_m: of tiles, as of `Waterfall`. Where nothing is detected, an overlap of LOCAL_MEAN_REACH_M
+    gives the same pixels sooner.
 
     The models that `config` names are read here, once. Raises BadInputError or UsageError if one cannot be.
     """

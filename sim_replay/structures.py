@@ -107,7 +107,10 @@ def find_structures(contacts: Sequence[Member]) -> tuple[Structure, ...]:
 
 
 def _may_group(places: Array, n_contacts: NDArray[np.int64]) -> bool:
-    """Check whether any MIN_MEMBERS contacts hang together; with many places they may."""
+    """Check whether any MIN_MEMBERS contacts may be linked; beyond _MANY places the answer is yes.
+
+    places: (n, 2) m. n_contacts: (n,) at each.
+    """
     if len(places) > _MANY:
         return True
     apart = places[:, np.newaxis] - places

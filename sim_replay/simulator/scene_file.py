@@ -18,6 +18,7 @@ from sim_replay.simulator.vehicle import STRONGEST_CURRENT
 
 FIERCEST_TEXTURE: Final = 0.1  # a Gamma law of smaller shape is all zeros and spikes
 HIGHEST_SHARE: Final = 0.8  # of the altitude that an object may be high
+_CORNERED: Final = frozenset({"rock", "slab", "box", "wedge", "boulder_cluster", "debris"})  # their hull needs a size
 _SHIPPED: Final = resources.files("sim_replay") / "scenes"
 
 
@@ -127,6 +128,9 @@ def _scatter_contradictions(scene: Scene) -> Iterator[str]:
         for name, limits in ranges.items():
             if limits is not None and limits[0] > limits[1]:
                 yield f"`{where}.{name}` is [{limits[0]:g}, {limits[1]:g}]; the lowest comes first"
+        for name in ("length_m", "width_m", "height_m"):
+            if ranges[name] is not None and ranges[name][0] <= 0.0 and group.kind in _CORNERED:
+                yield f"`{where}.{name}` starts at 0; a {group.kind} needs a smallest size above 0"
         if group.natural_sizes and group.length_m is not None and group.length_m[0] <= 0.0:
             yield f"`{where}.length_m` starts at 0; natural sizes need a smallest one above 0"
         if group.height_m is not None and group.height_m[1] > HIGHEST_SHARE * scene.track.altitude_m:
@@ -170,6 +174,9 @@ def _object_contradictions(scene: Scene, scene_object: SceneObject, legs: Sequen
     if scene_object.leg is not None and scene_object.leg >= len(legs):
         yield f"`leg` is {scene_object.leg}: the plan has {len(legs)} legs, the first is 0"
         return
+    for name in ("length_m", "width_m", "height_m"):
+        if getattr(scene_object, name) == 0.0 and scene_object.kind in _CORNERED:
+            yield f"`{name}` is 0: give a size above 0, or leave it out for the usual one"
     altitude = scene.track.altitude_m
     if (
         scene_object.height_m is not None

@@ -96,7 +96,7 @@ def best_at(latitude_deg: float, longitude_deg: float, contacts: tuple[Contact, 
 
 
 def test_the_same_targets_are_called_however_the_mission_was_recorded() -> None:
-    """Three of 51 targets at the most (two before): p_mine lies at the threshold, or the detector's odds at theirs."""
+    """Three of 51 targets at the most: p_mine lies at the threshold, or the detector's odds at theirs."""
     called = {store.name: np.concatenate([found(name)[store.name].called for name in SCENES]) for store in STORES}
     assert len(called[STORES[0].name]) >= 45, "targets that could be seen"
     differences = {(a, b): int((called[a] != called[b]).sum()) for a, b in combinations(called, 2)}

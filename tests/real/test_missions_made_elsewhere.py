@@ -29,7 +29,7 @@ FLOORS = {
     "mines-practice": Floors(6 / 9, 7 / 9),  # 8 and 8 of 9
     "sim-wide-flat": Floors(12 / 16, 14 / 16),  # 14 and 15 of 16
 }
-MAX_CALLED_PER_KM2 = 310.0  # three times what is asked: two alarms on the wreck's 0.0065 km² (none before)
+MAX_CALLED_PER_KM2 = 310.0  # two alarms on the wreck's 0.0065 km²
 
 
 def score(contacts: Path, truth: dict[str, Any]) -> dict[str, Any]:

@@ -116,7 +116,7 @@ def test_scotsman_objects_are_found_with_few_other_mine_like_contacts(shared_dat
     assert len(others) <= MAX_OTHERS
 
 
-FIRST = {"I": 5, "K": 9}  # of 9 contacts: second and ninth (third before). A was third, then twelfth, and is none now
+FIRST = {"I": 5, "K": 9}  # of 9 contacts: second and ninth; the highest object, A, is no contact
 
 
 def test_scotsman_objects_with_clear_shadows_are_among_the_most_mine_like_contacts(shared_data: SharedData) -> None:
@@ -160,7 +160,7 @@ def test_nothing_in_the_long_shadow_of_the_scotsman_wreck_is_mine_like(shared_da
     """Its highest part throws a dark band to the end of the range, crossed by faint echoes."""
     contacts = mission(shared_data("sidescan/scotsman-iver2.xtf"))
     shadowed = [contact for contact in contacts if "in_shadow" in contact.reasons]
-    assert shadowed  # those with an outline: 3 with the first verifier, 2 with the second
+    assert shadowed
     assert max(contact.p_mine for contact in shadowed) < 0.05
     assert sum(contact.p_mine >= MINE_LIKE_P for contact in contacts) <= 1, "object A alone"
 

@@ -19,7 +19,7 @@ from sim_replay.fitting.cascade.farm import Farm
 from sim_replay.fitting.fit_odds import written
 from sim_replay.fitting.looks import DRAWN, LookTask
 from sim_replay.fitting.recorders import RECORDED_SCENES, RECORDERS
-from sim_replay.fitting.verifier.mill import DENSE, FIRST_SEED, FIRST_SHELLY, FIRST_SLABS, FIRST_STAINED, MINE, fly_all
+from sim_replay.fitting.verifier.mill import DENSE, FIRST_PATCHES, FIRST_SEED, FIRST_SHELLY, FIRST_SLABS, MINE, fly_all
 from sim_replay.fitting.verifier.train import N_EPOCHS, ChipTable, train, written_as_onnx
 from sim_replay.fitting.verifier.weigh import (
     LIMITS_PER_KM2,
@@ -44,7 +44,7 @@ _LEARNT: Final = (
     *range(FIRST_SEED + N_JUDGED, FIRST_SEED + 256),
     *range(FIRST_SHELLY, FIRST_SHELLY + 277),
     *range(FIRST_SLABS + _N_LATER[0], FIRST_SLABS + 170),
-    *range(FIRST_STAINED + _N_LATER[1], FIRST_STAINED + 10_000),
+    *range(FIRST_PATCHES + _N_LATER[1], FIRST_PATCHES + 10_000),
 )
 SCENE_SEEDS: Final = (1200,)
 """Seeds of missions of named scenes, which weights are fitted on."""
@@ -146,7 +146,7 @@ def missions(n_missions: int) -> tuple[list[LookTask], list[tuple[str, LookTask]
     """List the missions to train on, and those to weigh and judge on with their group."""
     learnt = [LookTask(DRAWN, seed, DENSE) for seed in _LEARNT[:n_missions]]
     judged = [(_DENSE, LookTask(DRAWN, seed, DENSE)) for seed in range(FIRST_SEED, FIRST_SEED + N_JUDGED)]
-    for group, first, n in zip(_LATER, (FIRST_SLABS, FIRST_STAINED), _N_LATER, strict=True):
+    for group, first, n in zip(_LATER, (FIRST_SLABS, FIRST_PATCHES), _N_LATER, strict=True):
         judged += [(group, LookTask(DRAWN, seed, DENSE)) for seed in range(first, first + n)]
     judged += [(USUAL[0], LookTask(name, seed)) for name in SCENES for seed in SCENE_SEEDS]
     judged += [(USUAL[1], LookTask(DRAWN, seed)) for seed in USUAL_SEEDS]

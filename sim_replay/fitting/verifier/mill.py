@@ -35,7 +35,7 @@ FIRST_SHELLY: Final = 60_000
 """Seeds from here on have beds of bright shells, every second mission."""
 FIRST_SLABS: Final = 70_000
 """Seeds from here on have slabs with straight edges in place of some of the stones, and more clutter."""
-FIRST_STAINED: Final = 80_000
+FIRST_PATCHES: Final = 80_000
 """Seeds from here on have pits, and dark and bright patches without a body, which count as sea floor."""
 _STREAM: Final = 0x4D494C4C  # keeps these random numbers apart from others of the same seed
 DENSE: Final = 9
@@ -108,7 +108,8 @@ def drawn_scene(seed: int, times: int) -> Scene:
     """Draw a mission of the wide world with mines and stones up to `times` as dense, as far as there is room.
 
     Every third has shadows filled by noise, every third speckle correlated over up to five samples, every third texture
-    as fine as the speckle, every fourth an altitude that is up to a tenth off, every third faint mines.
+    as fine as the speckle, every fourth an altitude that is up to a tenth off, every third faint mines. Seeds from
+    FIRST_SHELLY, FIRST_SLABS and FIRST_PATCHES on have what these name; patches are left out where there is no room.
     """
     random = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, _STREAM])))
     scene = _widened(wide_scene(seed), random)
@@ -179,7 +180,7 @@ def _widened(scene: Scene, random: np.random.Generator) -> Scene:
         scatter += (Scatter(kind=_SHELL, count=n_shells, apart_m=0.5, strength_db=(low_db, high_db)),)
     if scene.seed >= FIRST_SLABS:
         scatter = tuple(map(_slabs_and_clutter, scatter))
-    if scene.seed >= FIRST_STAINED:
+    if scene.seed >= FIRST_PATCHES:
         scatter += (_PITS, *(msgspec.structs.replace(each, height_m=_THIN_M) for each in _PATCHES))
     track = msgspec.structs.replace(scene.track, pings_in_turns=False)
     return msgspec.structs.replace(

@@ -11,10 +11,10 @@ from auv_mcm.geometry.geodesy import LocalFrame
 from sim_replay.fitting.verifier.mill import (
     BESIDE,
     DENSE,
+    FIRST_PATCHES,
     FIRST_SEED,
     FIRST_SHELLY,
     FIRST_SLABS,
-    FIRST_STAINED,
     FLOOR,
     GEOMETRY,
     MINE,
@@ -90,11 +90,11 @@ def test_the_latest_missions_have_slabs_and_more_clutter() -> None:
 
 def test_missions_with_patches_have_them_once_and_crowd_mines_all_the_same() -> None:
     patches = [
-        [one for one in place_objects(drawn_scene(FIRST_STAINED + 3, times)) if 0.0 < one.height_m < 0.03]
+        [one for one in place_objects(drawn_scene(FIRST_PATCHES + 3, times)) if 0.0 < one.height_m < 0.03]
         for times in (1, DENSE)
     ]
     assert [len(each) for each in patches] == [100, 100]
-    assert sum(one.is_target for one in place_objects(drawn_scene(FIRST_STAINED + 3, DENSE))) > 100
+    assert sum(one.is_target for one in place_objects(drawn_scene(FIRST_PATCHES + 3, DENSE))) > 100
 
 
 def test_detections_are_what_lies_under_them() -> None:
