@@ -25,9 +25,8 @@ from auv_mcm.settings.config import Config
 from auv_mcm.waterfall.ground import ground_edges_m, make_traces, mean_between
 from auv_mcm.waterfall.transfer import to_intensity
 from sim_replay.augment.background_log import SamplePlace, Stretch, Survey, overwrite, sample_places, to_samples
-from sim_replay.augment.direct import invert
 from sim_replay.augment.embed_render import REFERENCE_NORTH_M, Echoes, PingWindow, Relief, echoes
-from sim_replay.augment.forward import SeafloorScene
+from sim_replay.augment.floor import Floor, recover_floor
 from sim_replay.augment.line import Change, SampleScatter, measure_line, mixed, spread_over_taps
 from sim_replay.augment.shadows import ShadowRuns, shadow_runs
 from sim_replay.augment.targets import Placement
@@ -35,7 +34,7 @@ from sim_replay.augment.track import SIGN, PingTrack
 from sim_replay.simulator.objects import PlacedObject
 
 _MAX_LOG_BYTES: Final = 1 << 30  # of a survey, held in memory: chosen
-_COLUMN_M: Final = 0.1  # of the image that is inverted, which shows no relief finer than that
+_COLUMN_M: Final = 0.1  # of the image that the floor is recovered from, which shows no relief finer than that
 _AROUND_M: Final = 3.0  # of sea floor recovered before and after an object
 _BEFORE_M: Final = 8.0  # and towards the sonar, whence it may be hidden
 _BEYOND_M: Final = 2.0  # and behind the shadow's end
@@ -46,11 +45,10 @@ _SAME_PASS_M: Final = 5.0  # m along the track, minimum, between two passes on o
 
 Floats: TypeAlias = NDArray[np.float64]
 Bools: TypeAlias = NDArray[np.bool_]
-Recover: TypeAlias = Callable[[Floats, Bools, Floats, Floats, float], SeafloorScene]  # see direct.invert
 
 
 class EmbeddedPicture(NamedTuple):
-    """Hold one side of a window over ground range, as an inversion takes it.
+    """Hold one side of a window over ground range, as recover_floor takes it.
 
     intensity: (n_pings, n_columns) float64, linear, 0 where not valid. valid: the same shape, bool. shadow: where it
     lies in shadow. altitude_m, along_m: (n_pings,) float64. Column j is around (j + 0.5) * column_spacing_m.
@@ -102,12 +100,11 @@ def embed(
     placements: Sequence[Placement],
     config: Config,
     seed: int,
-    recover: Recover = invert,
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> Augmented:
     """Embed every object in the log of `survey`, one after the other, so that later ones stand in earlier shadows.
 
-    recover: the inversion. Equal logs, placements and seeds give equal bytes. Raises BadInputError where samples cannot
+    Equal logs, placements and seeds give equal bytes. Raises BadInputError where samples cannot
     be overwritten.
     """
     data = bytearray(read_regular(survey.path, _MAX_LOG_BYTES))
@@ -124,9 +121,7 @@ def embed(
                     stretch, side, survey.transfer, config.sonar.blank_m, survey.absorption_per_m
                 )
             window = _Window(data, places, stretch, index, side, ground_range_m, ahead_m, lines[stretch_number, side])
-            looks.append(
-                _embed_look(window, survey, placement.scene_object, config, recover, seed, 64 * number + pass_number)
-            )
+            looks.append(_embed_look(window, survey, placement.scene_object, config, seed, 64 * number + pass_number))
             looks[-1] = looks[-1]._replace(ping=int(track.number[ping]))
         latitude, longitude = _position(survey, track, placement, config)
         done.append(Embedded(placement.scene_object, latitude, longitude, tuple(looks)))
@@ -190,7 +185,6 @@ def _embed_look(
     survey: Survey,
     scene_object: PlacedObject,
     config: Config,
-    recover: Recover,
     seed: int,
     stream: int,
 ) -> EmbeddedView:
@@ -204,7 +198,9 @@ def _embed_look(
     intensity = np.where(valid, recorded, 0.0).astype(np.float64)
 
     picture = _picture(intensity, valid, stretch, pings, window, trace.first_range_m, trace.spacing_m, farthest_m)
-    scene = recover(picture.intensity, picture.valid, picture.altitude_m, picture.along_m, picture.column_spacing_m)
+    scene = recover_floor(
+        picture.intensity, picture.valid, picture.altitude_m, picture.along_m, picture.column_spacing_m
+    )
     first = max(0, math.floor((ground_m - reach_m - _BEFORE_M) / picture.column_spacing_m))
     stands_on, hides = reliefs(scene, picture, along[pings], first)
     view = PingWindow(
@@ -290,9 +286,7 @@ def _picture(
     return EmbeddedPicture(ground.intensity, ground.valid, shadow, stretch.first_return_m[pings], along_m, _COLUMN_M)
 
 
-def reliefs(
-    scene: SeafloorScene, picture: EmbeddedPicture, along_m: Floats, first_column: int
-) -> tuple[Relief, Relief]:
+def reliefs(scene: Floor, picture: EmbeddedPicture, along_m: Floats, first_column: int) -> tuple[Relief, Relief]:
     """Return the floor that an object stands on, and the floor that hides and echoes.
 
     The second rises where recorded shadows begin, as high as their length asks for, and nowhere faces away from the

@@ -2,7 +2,7 @@
 
 The simulator's rays do the work, over the recovered relief in place of a simulated one: what an object hides, what
 hides it, layover, walls and the shadow on whatever floor lies behind come of one rule. The floor's echo follows the
-model that the image was inverted to (`sim_replay.augment.forward`): beam pattern times reflectivity times the cosine of
+model that the floor was recovered by (`sim_replay.augment.floor`): beam pattern times reflectivity times the cosine of
 incidence. Both the beam pattern and the echo depend on angles as they are with the object there.
 
 The window's plane: north ahead along the track, east to starboard, the ping that looks straight at the object at
@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.records import Side
-from sim_replay.augment.forward import BeamPattern
+from sim_replay.augment.floor import BeamPattern
 from sim_replay.augment.track import SIGN
 from sim_replay.simulator.backscatter import TABLE_SIZE, target_table
 from sim_replay.simulator.bodies import Bodies, Body, pack

@@ -1,6 +1,4 @@
-"""Inversion and embedding at the edge of what a recorder can store: no floating-point flag, no NaN, the same bits every
-time.
-"""
+"""Floors recovered and targets embedded at the edge of what a recorder can store: no flag, no NaN, the same bits."""
 
 from __future__ import annotations
 
@@ -13,18 +11,14 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from auv_mcm.records import SIDES, EchoTrace, NavSample, Ping, Side, Transfer
 from auv_mcm.settings.config import Config, SonarConfig
 from sim_replay.augment.background_log import Survey, read_survey, to_samples
-from sim_replay.augment.direct import invert
 from sim_replay.augment.embed import Embedded, embed
-from sim_replay.augment.forward import BeamPattern, SeafloorScene, cos_incidence, render_image
+from sim_replay.augment.floor import Floor, recover_floor
 from sim_replay.augment.line import Change, SampleScatter, measure_line, mixed
-from sim_replay.augment.poisson import Stiffness, integrate_slope
 from sim_replay.augment.shadows import shadow_runs
 from sim_replay.augment.targets import EmbeddedTarget, TargetSpec, place_targets
 from sim_replay.augment.track import track_of
@@ -71,27 +65,20 @@ PICTURES: dict[str, Plane] = {
 }
 
 
-def inverted(image: Plane, valid: Mask = ALL, altitude_m: float = 5.0) -> SeafloorScene:
-    """The scene found, every floating-point flag but underflow being an error."""
+def recovered(image: Plane, valid: Mask = ALL, altitude_m: float = 5.0) -> Floor:
+    """The floor found, every floating-point flag but underflow being an error."""
     n_pings = len(image)
     with np.errstate(all="raise", under="ignore"):
-        scene = invert(
+        floor = recover_floor(
             image, valid, np.full(n_pings, altitude_m), ROW_M * np.arange(n_pings, dtype=np.float64), COLUMN_M
         )
-        rendered = render_image(scene)
-    for plane in (
-        scene.elevation_m,
-        scene.reflectivity,
-        scene.beam.gain,
-        scene.beam.depression_rad,
-        rendered.intensity,
-    ):
+    for plane in (floor.elevation_m, floor.reflectivity, floor.beam.gain, floor.beam.depression_rad):
         assert np.isfinite(plane).all()
-    assert (scene.reflectivity >= 0.0).all()
-    return scene
+    assert (floor.reflectivity >= 0.0).all()
+    return floor
 
 
-def same(one: SeafloorScene, other: SeafloorScene) -> bool:
+def same(one: Floor, other: Floor) -> bool:
     return all(
         a.tobytes() == b.tobytes()
         for a, b in (
@@ -103,18 +90,18 @@ def same(one: SeafloorScene, other: SeafloorScene) -> bool:
     )
 
 
-# --- inversion ---
+# --- recovery ---
 
 
 @pytest.mark.parametrize("picture", PICTURES)
 def test_no_picture_raises_a_floating_point_flag(picture: str) -> None:
-    scene = inverted(PICTURES[picture])
+    scene = recovered(PICTURES[picture])
     assert float(np.abs(scene.elevation_m).max()) < STEEPEST_M
 
 
 @pytest.mark.parametrize("altitude_m", [0.3, 1.0, 30.0, 300.0])
 def test_no_altitude_raises_one(altitude_m: float) -> None:
-    inverted(PICTURES["rock"], altitude_m=altitude_m)
+    recovered(PICTURES["rock"], altitude_m=altitude_m)
 
 
 @pytest.mark.parametrize("share", [0.001, 0.5, 0.999])
@@ -123,26 +110,26 @@ def test_what_stands_where_nothing_was_measured_changes_no_bit(share: float) -> 
     valid = random.random(SHAPE) >= share
     valid[random.random(SHAPE[0]) < 0.5 * share] = False  # whole pings, too
     nonsense = random.choice([math.nan, math.inf, -math.inf, -3.0, 0.0, 1e300], SHAPE)
-    one, other = (inverted(np.where(valid, speckle(), junk), valid) for junk in (nonsense, 0.0))
+    one, other = (recovered(np.where(valid, speckle(), junk), valid) for junk in (nonsense, 0.0))
     assert same(one, other)
 
 
 def test_a_pixel_missing_in_a_thousand_hardly_changes_the_relief() -> None:
-    whole = inverted(speckle()).elevation_m
-    holed = inverted(speckle(), generator(6).random(SHAPE) >= 0.001).elevation_m
+    whole = recovered(speckle()).elevation_m
+    holed = recovered(speckle(), generator(6).random(SHAPE) >= 0.001).elevation_m
     assert float(np.corrcoef(whole.ravel(), holed.ravel())[0, 1]) > 0.99
 
 
 @pytest.mark.parametrize("power", [-600, 600])
 def test_gain_of_a_power_of_two_goes_into_the_beam_and_changes_no_other_bit(power: int) -> None:
-    one, other = inverted(PICTURES["rock"]), inverted(PICTURES["rock"] * 2.0**power)
+    one, other = recovered(PICTURES["rock"]), recovered(PICTURES["rock"] * 2.0**power)
     assert one.elevation_m.tobytes() == other.elevation_m.tobytes()
     assert one.reflectivity.tobytes() == other.reflectivity.tobytes()
     np.testing.assert_array_equal(other.beam.gain, one.beam.gain * 2.0**power)
 
 
 def test_reversing_the_track_reverses_the_relief() -> None:
-    one, other = inverted(PICTURES["rock"]), inverted(PICTURES["rock"][::-1].copy())
+    one, other = recovered(PICTURES["rock"]), recovered(PICTURES["rock"][::-1].copy())
     np.testing.assert_allclose(other.elevation_m[::-1], one.elevation_m, atol=1e-9)
     np.testing.assert_allclose(other.reflectivity[::-1], one.reflectivity, rtol=1e-9)
 
@@ -150,67 +137,16 @@ def test_reversing_the_track_reverses_the_relief() -> None:
 @pytest.mark.parametrize(("pings", "columns"), [(16, 0), (0, 40), (5, 7)])
 def test_a_masked_border_hardly_changes_the_relief_inside(pings: int, columns: int) -> None:
     around = ((pings, pings), (0, columns))
-    wide = inverted(np.pad(speckle(), around, constant_values=math.nan), np.pad(ALL, around)).elevation_m
+    wide = recovered(np.pad(speckle(), around, constant_values=math.nan), np.pad(ALL, around)).elevation_m
     inside = wide[pings : pings + SHAPE[0], : SHAPE[1]]
-    assert float(np.corrcoef(inside.ravel(), inverted(speckle()).elevation_m.ravel())[0, 1]) > 0.9
+    assert float(np.corrcoef(inside.ravel(), recovered(speckle()).elevation_m.ravel())[0, 1]) > 0.9
 
 
 def test_the_same_again_and_on_two_threads_at_once() -> None:
-    once = inverted(PICTURES["rock"])
+    once = recovered(PICTURES["rock"])
     with ThreadPoolExecutor(2) as pool:
-        again = list(pool.map(lambda picture: inverted(picture), [PICTURES["rock"]] * 2))
+        again = list(pool.map(lambda picture: recovered(picture), [PICTURES["rock"]] * 2))
     assert all(same(one, once) for one in again)
-
-
-@settings(max_examples=20)
-@given(
-    seed=st.integers(0, 2**32 - 1),
-    share=st.sampled_from([0.0, 0.01, 0.5, 1.0]),
-    row_m=st.sampled_from([1e-3, 0.1, 10.0]),
-    column_m=st.sampled_from([1e-3, 0.1, 10.0]),
-    screen_per_m2=st.sampled_from([1e-6, 0.3, 1e3]),
-)
-def test_heights_are_finite_and_in_proportion_to_slopes_on_any_grid(
-    seed: int, share: float, row_m: float, column_m: float, screen_per_m2: float
-) -> None:
-    random = generator(seed)
-    slope, weight = random.choice([-1.5, 0.0, 1.5], (6, 11)), (random.random((6, 11)) < share).astype(np.float64)
-    stiffness = Stiffness(0.1, screen_per_m2)
-    for weights in (None, weight):
-        with np.errstate(all="raise", under="ignore"):
-            heights, shallow = (
-                integrate_slope(s, row_m, column_m, stiffness, weights) for s in (slope, slope * 2.0**-60)
-            )
-        assert np.isfinite(heights).all()
-        assert float(np.abs(heights).max()) <= 1.5 * column_m * 11
-        np.testing.assert_array_equal(shallow, heights * 2.0**-60)
-
-
-@pytest.mark.parametrize("altitude_m", [0.0, 0.3, 5.0, 300.0])
-def test_no_facet_faces_the_sonar_more_than_straight(altitude_m: float) -> None:
-    """Slopes from level to walls, below, beside and above the sonar, and tangent to the line of sight."""
-    random = generator(7)
-    ground_m = (np.arange(40) + 0.5) * COLUMN_M
-    for relief_m in (0.0, 1e-9, 1.0, altitude_m, 1e3, 1e9):
-        elevation = random.uniform(-relief_m, relief_m, (8, 40))
-        elevation[0] = altitude_m * (1.0 - ground_m / 5.0)  # along a line of sight
-        elevation[1] = altitude_m
-        with np.errstate(all="raise", under="ignore"):
-            cosine = cos_incidence(elevation, np.full(8, altitude_m), ROW_M * np.arange(8.0), COLUMN_M)
-            rendered = render_image(
-                SeafloorScene(
-                    elevation_m=elevation,
-                    reflectivity=np.ones_like(elevation),
-                    beam=BeamPattern(depression_rad=np.array([0.1, 1.4]), gain=np.array([0.5, 2.0])),
-                    altitude_m=np.full(8, altitude_m),
-                    along_m=ROW_M * np.arange(8.0),
-                    column_spacing_m=COLUMN_M,
-                    valid=np.ones((8, 40), dtype=np.bool_),
-                )
-            )
-        assert cosine.min() >= 0.0
-        assert cosine.max() <= 1.0 + 1e-12
-        assert rendered.intensity.max() <= 2.0 + 1e-9
 
 
 # --- shadows ---

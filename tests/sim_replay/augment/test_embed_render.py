@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from auv_mcm.records import SIDES, Side
 from auv_mcm.solids.shapes import Box, Cylinder, Shape, Sphere, TruncatedCone, Wedge, view_shape
 from sim_replay.augment.embed_render import REFERENCE_NORTH_M, Echoes, PingWindow, Relief, echoes
-from sim_replay.augment.forward import BeamPattern
+from sim_replay.augment.floor import BeamPattern
 from sim_replay.augment.track import SIGN
 from sim_replay.simulator.objects import USUAL, PlacedObject
 from sim_replay.simulator.scene import ObjectKind
