@@ -1,4 +1,4 @@
-"""Score contrasts, bit for bit as prescreen does, where they matter: at peaks and around given places.
+"""Score contrasts as prescreen defines them where they matter: at peaks and around given places.
 
 Hardly any pixel's score reaches the threshold, so cheap bounds come first. In blocks of pixels the variances have
 extremes, and a box there reaches a given deviate only if its mean passes a bound in closed form; one comparison of box
@@ -85,7 +85,8 @@ class Contrasts(NamedTuple):
     def peaks(self, radius_m: float) -> list[Peak]:
         """Find local maxima over the threshold in the tile's core, best first.
 
-        Finds what prescreen.find_peaks finds in all scores.
+        A peak is the highest score within `radius_m`, at most MARGIN_M, along rows and columns. Pixels of low
+        resolution (near nadir) hold none and outshine none.
         """
         tile = self.tile
         half_row, half_column = (
@@ -131,8 +132,6 @@ class Contrasts(NamedTuple):
 
 def contrasts(tile: Tile, p_false_alarm: float, *, bounded: bool = True) -> Contrasts:
     """Score all pixels of a tile that reach a tail probability (> 0, < 0.5) in pure speckle.
-
-    Finds what prescreen.score_tile and find_peaks find of such scores.
 
     bounded: score only pixels that may reach the threshold; the result is the same.
     """

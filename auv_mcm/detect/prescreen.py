@@ -1,4 +1,4 @@
-"""Score every pixel of a tile as the centre of a highlight with a shadow behind, by box means.
+"""Define the score of a pixel as the centre of a highlight with a shadow behind, by box means.
 
 The sea floor sets its own scale. The variance of the logarithm of box means is measured around each pixel at two box
 sizes, as equivalent looks: it holds speckle, its correlation from pixel to pixel, and texture, and how it falls from
@@ -9,17 +9,13 @@ of what an object of given height casts at that range and altitude.
 
 from __future__ import annotations
 
-import copy
-from statistics import NormalDist
 from typing import Final, NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.detect.ftest import equivalent_looks, f_deviate
-from auv_mcm.detect.integral import PaddedIntegral
-from auv_mcm.records import LOW_RESOLUTION, SATURATED, VALID, Tile
+from auv_mcm.detect.ftest import equivalent_looks
+from auv_mcm.records import Tile
 
 # Along track, across track, metres.
 HIGHLIGHTS_M: Final = ((0.12, 0.18), (0.36, 0.24), (0.36, 0.48), (0.84, 0.36), (1.6, 0.36))
@@ -67,30 +63,11 @@ GLINT_DISCOUNT: Final = 4.0
 _GLINT_KNEE: Final = 5.0
 _BEYOND_KNEE: Final = 0.05
 MAX_RATIO: Final = 100.0
-_BAND_ROWS: Final = 48
 
 MARGIN_M: Final = 1.0
 """How far beyond a tile's core pixels are scored, so that a peak in the core is compared with all its neighbours."""
 CONTEXT_M: Final = LOOKS_ROWS_M + FRAME_ROWS_M + 1.0
 """Along-track reach of a score: a pixel this far inside a tile is scored as it would be anywhere else."""
-
-
-class ScoreMaps(NamedTuple):
-    """Hold what is known per pixel, each (n_rows, n_columns) float32.
-
-    score: of the best pair of boxes, in standard deviations that one pair has on pure sea floor; -inf where it
-    cannot be computed. highlight, shadow: deviates, a shadow counts positive. background: mean intensity.
-    small_box_variance: of ln I.
-    """
-
-    score: NDArray[np.float32]
-    highlight: NDArray[np.float32]
-    shadow: NDArray[np.float32]
-    background: NDArray[np.float32]
-    small_box_variance: NDArray[np.float32]
-
-    def floor(self, row: int, column: int) -> Floor:
-        return Floor(float(self.background[row, column]), float(self.small_box_variance[row, column]))
 
 
 class Floor(NamedTuple):
@@ -142,57 +119,6 @@ class PixelGrid(NamedTuple):
         return outer, hollow, area
 
 
-class _Boxes:
-    """Average boxes of valid pixels on some rows of a tile, in whole pixels around each pixel."""
-
-    def __init__(self, tile: Tile) -> None:
-        valid = (tile.mask & VALID) != 0
-        self.grid = grid = PixelGrid(tile.row_spacing_m, tile.column_spacing_m)
-        intensity = np.where(valid, np.minimum(tile.intensity, np.float32(MAX_RATIO)), np.float32(0.0))
-        pad = (grid.rows(FRAME_ROWS_M) + 2, grid.columns(SHADOW_LENGTH_M[1]) + 4)
-        self._intensity = PaddedIntegral(intensity, *pad)
-        self._weight = PaddedIntegral(valid.view(np.uint8), *pad)
-        seabed = valid & ((tile.mask & SATURATED) == 0)
-        bounded = np.where(seabed, np.minimum(intensity, np.float32(BACKGROUND_CLIP)), np.float32(0.0))
-        self._seabed = PaddedIntegral(bounded, *pad)
-        self._seabed_weight = self._weight if (seabed == valid).all() else PaddedIntegral(seabed.view(np.uint8), *pad)
-
-    def band(self, rows: slice) -> _Boxes:
-        """Restrict the boxes to rows [start, stop) of the tile."""
-        part = copy.copy(self)
-        part._intensity = self._intensity.band(rows.start, rows.stop)
-        part._weight = self._weight.band(rows.start, rows.stop)
-        part._seabed = self._seabed.band(rows.start, rows.stop)
-        part._seabed_weight = self._seabed_weight.band(rows.start, rows.stop)
-        return part
-
-    def mean(self, *box: int) -> NDArray[np.float32]:
-        """Average the intensity over the valid pixels of a box, 0 where there are none."""
-        return (self._intensity.box(*box) / np.maximum(self._weight.box(*box), 1.0)).astype(np.float32)
-
-    def shadow_mean(self, half_rows: int, lengths: NDArray[np.intp]) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
-        """Average the intensity from each pixel on over `lengths` columns.
-
-        Returns the mean and the number of valid pixels.
-        """
-        varying = (-half_rows, half_rows + 1, 0, lengths)
-        weight = self._weight.box_varying(*varying)
-        return (self._intensity.box_varying(*varying) / np.maximum(weight, 1.0)).astype(np.float32), weight
-
-    def background(self) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-        """Average the frame around each pixel; return the mean, and where enough of the frame holds echoes.
-
-        Saturated pixels stay out and bright ones are bounded: an object longer than the hollow must not raise its own
-        background.
-        """
-        outer, hollow, area = self.grid.frame()
-        total = self._seabed.box(*outer) - self._seabed.box(*hollow)
-        weight = self._seabed_weight.box(*outer) - self._seabed_weight.box(*hollow)
-        mean = np.maximum(np.maximum(total, 0.0) / np.maximum(weight, 1.0), NO_ECHO).astype(np.float32)
-        # Without any echo around, as in a stretch of dropped samples, there is no contrast to speak of.
-        return mean, (weight >= MIN_BACKGROUND * area) & (mean > NO_ECHO)
-
-
 class Spread(NamedTuple):
     """Hold how much box means vary on the sea floor around each pixel of a band, float32.
 
@@ -213,43 +139,6 @@ class Spread(NamedTuple):
         variance, measured_area = (self.thin, self.thin_area) if n_rows == 1 else (self.small, self.small_area)
         growth = np.log(np.asarray(area, dtype=np.float32) / np.float32(measured_area))
         return equivalent_looks(variance * np.exp(-np.where(growth < 0.0, np.float32(1.0), self.decay) * growth))
-
-
-def score_tile(tile: Tile) -> ScoreMaps:
-    """Score every pixel of one tile.
-
-    Overlap rows more than MARGIN_M from the core lend their pixels but are not scored themselves.
-    """
-    shape = tile.mask.shape
-    margin = round(MARGIN_M / tile.row_spacing_m) + 1
-    scored = slice(max(tile.core_start - margin, 0), min(tile.core_stop + margin, shape[0]))
-    boxes = _Boxes(tile)
-    grid = boxes.grid
-    # A few dozen rows at a time, so that intermediate planes stay in the processor's cache.
-    bands = [slice(start, min(start + _BAND_ROWS, shape[0])) for start in range(0, shape[0], _BAND_ROWS)]
-    background, known = np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.bool_)
-    for rows in bands:
-        background[rows], enough = boxes.band(rows).background()
-        known[rows] = enough & ((tile.mask[rows] & VALID) != 0)
-
-    measured = [grid.centred(size_m) for size_m in (THIN_BOX_M, SMALL_BOX_M, LARGE_BOX_M)]
-    around = _Neighbourhood(boxes, known)
-    thin, small, large = (around.log_variance(boxes, bands, box, background) for box, _ in measured)
-    (_, thin_area), (_, small_area), (_, large_area) = measured
-
-    highlight, darkest = np.full(shape, -np.inf, dtype=np.float32), np.zeros(shape, dtype=np.float32)
-    for rows in [
-        slice(start, min(start + _BAND_ROWS, scored.stop)) for start in range(scored.start, scored.stop, _BAND_ROWS)
-    ]:
-        decay = decay_of(small[rows], large[rows], large_area / small_area)
-        spread = Spread(thin[rows], small[rows], decay, thin_area, small_area)
-        highlight[rows], darkest[rows] = _deviates(boxes.band(rows), tile, rows, background[rows], spread)
-    shadow = -darkest_behind(darkest, grid.columns(SHADOW_LAG_M))
-
-    score = combined(highlight, shadow)
-    score[~known] = -np.inf
-    score[: scored.start] = score[scored.stop :] = -np.inf
-    return ScoreMaps(score, highlight, shadow, background, small)
 
 
 def decay_of(small: NDArray[np.float32], large: NDArray[np.float32], area_ratio: float) -> NDArray[np.float32]:
@@ -285,85 +174,10 @@ def glint(highlight: NDArray[np.float32]) -> NDArray[np.float32]:
     return saturate(highlight - np.float32(GLINT_DISCOUNT), _GLINT_KNEE)
 
 
-def _deviates(
-    boxes: _Boxes, tile: Tile, rows: slice, background: NDArray[np.float32], spread: Spread
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Compute the deviates of the brightest box centred on each pixel, and of the darkest shadow that starts there."""
-    per_background = np.float32(1.0) / background
-    background_looks = spread.looks(2, float(boxes.grid.frame()[2]))
-    highlight = np.full(background.shape, -np.inf, dtype=np.float32)
-    for size_m in HIGHLIGHTS_M:
-        box, area = boxes.grid.centred(size_m)
-        looks = spread.looks(box[1] - box[0], float(area))
-        np.maximum(highlight, f_deviate(boxes.mean(*box) * per_background, looks, background_looks), out=highlight)
-    darkest = np.full(background.shape, np.inf, dtype=np.float32)
-    for along_m, height_m in SHADOWS_M:
-        lengths = _shadow_columns(tile, rows, height_m)
-        half_rows = boxes.grid.rows(along_m) // 2
-        mean, weight = boxes.shadow_mean(half_rows, lengths)
-        n_rows = 2 * half_rows + 1
-        area_px = (n_rows * lengths).astype(np.float32)
-        deviate = f_deviate(mean * per_background, spread.looks(n_rows, area_px), background_looks)
-        np.minimum(darkest, np.where(weight > MIN_SHADOW * area_px, deviate, np.float32(0.0)), out=darkest)
-    return highlight, darkest
-
-
-def find_peaks(tile: Tile, maps: ScoreMaps, p_false_alarm: float, radius_m: float) -> list[Peak]:
-    """Find local maxima above the threshold in the tile's core, best first; ties by row, then column.
-
-    A peak is the highest score within `radius_m`, at most MARGIN_M, along rows and columns. Pixels of low resolution
-    (near nadir) hold none and outshine none.
-    """
-    threshold = np.float32(-NormalDist().inv_cdf(p_false_alarm))
-    half_row, half_column = (
-        max(1, round(radius_m / tile.row_spacing_m)),
-        max(1, round(radius_m / tile.column_spacing_m)),
-    )
-    coarse = (tile.mask & LOW_RESOLUTION) != 0
-    finite = np.where(coarse, np.float32(-1e6), np.maximum(maps.score, np.float32(-1e6)))
-    highest = cv2.dilate(finite, np.ones((2 * half_row + 1, 2 * half_column + 1), dtype=np.uint8))
-    peak = (finite == highest) & (finite >= threshold)
-    peak[: tile.core_start] = False
-    peak[tile.core_stop :] = False
-    rows, columns = np.nonzero(peak)
-    found = [Peak(float(finite[row, column]), int(row), int(column)) for row, column in zip(rows, columns, strict=True)]
-    return sorted(found, key=lambda p: (-p.score, p.row, p.column))
-
-
 def saturate(deviate: NDArray[np.float32], knee: float) -> NDArray[np.float32]:
     """Bound deviates: linear up to the knee, less steep above."""
     bounded = np.maximum(deviate, np.float32(_LOWEST_DEVIATE))
     return np.asarray(np.minimum(bounded, np.float32(knee) + np.float32(_BEYOND_KNEE) * (bounded - np.float32(knee))))
-
-
-class _Neighbourhood:
-    """Compute statistics over the known pixels within a few metres of each pixel."""
-
-    def __init__(self, boxes: _Boxes, known: NDArray[np.bool_]) -> None:
-        rows, columns = boxes.grid.rows(LOOKS_ROWS_M), boxes.grid.columns(LOOKS_COLUMNS_M)
-        self._box = (-rows, rows + 1, -columns, columns + 1)
-        self._pad = (rows + 1, columns + 1)
-        self._known = known
-        self._count = PaddedIntegral(known.view(np.uint8), *self._pad)
-
-    def log_variance(
-        self, boxes: _Boxes, bands: list[slice], box: tuple[int, int, int, int], background: NDArray[np.float32]
-    ) -> NDArray[np.float32]:
-        """Compute the variance of ln(box mean over background), clipped, (n_rows, n_columns) float32."""
-        logarithm = np.empty(background.shape, dtype=np.float32)
-        for rows in bands:
-            ratio = np.maximum(boxes.band(rows).mean(*box) / background[rows], np.float32(1e-3))
-            logarithm[rows] = np.clip(np.log(ratio), -LOG_CLIP, LOG_CLIP) * self._known[rows]
-        total, square = PaddedIntegral(logarithm, *self._pad), PaddedIntegral(logarithm * logarithm, *self._pad)
-        variance = np.empty(background.shape, dtype=np.float32)
-        for rows in bands:
-            count, mean, mean_square = (
-                sums.band(rows.start, rows.stop).box(*self._box) for sums in (self._count, total, square)
-            )
-            np.maximum(count, 1.0, out=count)
-            mean /= count
-            variance[rows] = np.maximum(mean_square / count - mean * mean, MIN_LOG_VARIANCE)
-        return variance
 
 
 def clearance_m(tile: Tile, height_m: float) -> NDArray[np.float64]:
@@ -373,26 +187,3 @@ def clearance_m(tile: Tile, height_m: float) -> NDArray[np.float64]:
     """
     altitude_m = np.maximum(tile.first_return_m, MIN_ALTITUDE_M)
     return np.maximum(altitude_m - height_m, 0.3 * altitude_m)
-
-
-def _shadow_columns(tile: Tile, rows: slice, height_m: float) -> NDArray[np.intp]:
-    """Compute the shadow's length in columns, (rows, n_columns), of an object of `height_m`.
-
-    It is h y / (H - h) on a flat bottom.
-    """
-    ground_m = ((np.arange(tile.mask.shape[1]) + 0.5) * tile.column_spacing_m)[None, :]
-    length_m = height_m * ground_m / clearance_m(tile, height_m)[rows, None]
-    return np.maximum(np.rint(np.clip(length_m, *SHADOW_LENGTH_M) / tile.column_spacing_m), 1.0).astype(np.intp)
-
-
-def darkest_behind(deviate: NDArray[np.float32], lag_columns: int) -> NDArray[np.float32]:
-    """Find the minimum over shadows that start 1 to `lag_columns` columns farther out.
-
-    In the row itself or a neighbouring one.
-    """
-    n_columns = deviate.shape[1]
-    padded = np.pad(deviate, ((1, 1), (0, lag_columns + 1)), constant_values=0.0)
-    lowest = cv2.erode(
-        padded, np.ones((3, lag_columns), dtype=np.uint8), anchor=(0, 1), borderType=cv2.BORDER_REPLICATE
-    )
-    return np.asarray(lowest[1:-1, 1 : 1 + n_columns])

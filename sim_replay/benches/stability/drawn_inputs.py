@@ -19,7 +19,6 @@ Values = NDArray[np.float64]
 ROUNDED: Final = 1.8e-7  # 3 roundings of float32: of a sample, of its copy, and of their product
 TILE: Final = (96, 160)  # pixels of a small tile
 BIG_TILE: Final = (2048, 1024)  # of a tile as the chain cuts them at 1.5 cm
-LONG_LINE_TILES: Final = 1_000_000  # of 512 x 512 pixels, a line of years
 
 
 def speckle(shape: tuple[int, ...], seed: int = 0) -> Plane:

@@ -1,4 +1,4 @@
-"""Rows of the waterfall and of detection: transfer, range means, levelling, bottom, integral images, cascade, peaks."""
+"""Rows of the waterfall and of detection: transfer, range means, levelling, bottom, contrasts, cascade, peaks."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from auv_mcm.detect.cascade.bands import band_edges
 from auv_mcm.detect.cascade.codes import make_plane
 from auv_mcm.detect.cascade.run import tables_of
 from auv_mcm.detect.ftest import equivalent_looks, f_deviate
-from auv_mcm.detect.integral import PaddedIntegral
 from auv_mcm.kernels import cascade, contrast, viterbi, waterfall_boxes, waterfall_rows, waterfall_steps, waterfall_sums
 from auv_mcm.kernels.contrast import Frame, TileSums
 from auv_mcm.records import VALID, Transfer
@@ -23,10 +22,8 @@ from auv_mcm.waterfall.transfer import to_intensity
 from sim_replay.benches.stability.drawn_inputs import (
     BIG_TILE,
     INTENSITIES,
-    LONG_LINE_TILES,
     ROUNDED,
     TILE,
-    Plane,
     Values,
     box_count,
     box_of,
@@ -231,50 +228,6 @@ def _waterfall_twins(watch: Watch, _: bool) -> Found:
 # --- detection
 
 
-def _boxes(kind: str, watch: Watch, quick: bool) -> Found:
-    shape = (256, 200) if quick else BIG_TILE
-    plane = INTENSITIES[kind](shape)
-    found = watch(PaddedIntegral, plane, 4, 4).box(-4, 5, -4, 5)
-    places = places_in(shape, 60)
-    wanted = [box_sum(plane, place, (4, 4)) for place in places]
-    with np.errstate(all="ignore"):
-        coarse = np.zeros((shape[0] + 1, shape[1] + 1), dtype=np.float32)
-        coarse[1:, 1:] = plane.cumsum(axis=0, dtype=np.float32).cumsum(axis=1, dtype=np.float32)
-        single = max(
-            abs(_corner(coarse, place, shape) / true - 1.0) for place, true in zip(places, wanted, strict=True)
-        )
-    return Found(relative([float(found[place]) for place in places], wanted), single=single)
-
-
-def _corner(sums: Plane, place: tuple[int, int], shape: tuple[int, int]) -> float:
-    rows, columns = box_of(shape, place, (4, 4))
-    bottom, right = min(rows.stop, shape[0]), min(columns.stop, shape[1])
-    return float(
-        sums[bottom, right] - sums[rows.start, right] - sums[bottom, columns.start] + sums[rows.start, columns.start]
-    )
-
-
-def _long_line(watch: Watch, quick: bool) -> Found:
-    """Start an integral image with the sum of a million tiles, as if it had never been started anew."""
-    shape = (256, 200) if quick else BIG_TILE
-    plane = speckle(shape).astype(np.float64)
-    far = plane.copy()
-    far[0, 0] += LONG_LINE_TILES * 512.0 * 512.0
-    found = watch(PaddedIntegral, far, 4, 4).box(-4, 5, -4, 5)
-    places = [place for place in places_in(shape, 60) if min(place) > 4]
-    return Found(
-        relative([float(found[place]) for place in places], [box_sum(plane, place, (4, 4)) for place in places])
-    )
-
-
-def _long_sum(watch: Watch, quick: bool) -> Found:
-    """Add up an integral image over as many pixels as memory holds and compare its last number with the exact sum."""
-    shape = (500, 400) if quick else (4000, 2500)
-    plane = speckle(shape)
-    found = watch(PaddedIntegral, plane, shape[0], 0).rows(-shape[0] + 1, 1)[-1, -1]
-    return Found(relative([float(found)], [math.fsum(plane.astype(np.float64).ravel().tolist())]))
-
-
 def _contrast_means(kind: str, watch: Watch, _: bool) -> Found:
     plane = INTENSITIES[kind](TILE)
     mask = np.full(TILE, VALID, dtype=np.uint8)
@@ -456,13 +409,9 @@ def _waterfall_rows() -> list[NumberRow]:
 
 def _detection_rows() -> list[NumberRow]:
     fsum, ratio, mp, twin = "exact summation", "fractions", "mpmath", "numpy twin"
-    smooth = [kind for kind in INTENSITIES if not kind.startswith("ring")]
     kinds = ("one look", "constant", "saturated", "offset 1e6", "gain 1e30")
     ties = "ties, thresholds to {:g}"
     return [
-        *each("integral image", "{}", fsum, "relative", 1e-10, _boxes, smooth),
-        NumberRow("integral image", "begun 1e6 tiles before", fsum, "relative", 1e-5, _long_line),
-        NumberRow("integral image", "sum of all pixels", fsum, "relative", 1e-12, _long_sum),
         *each("contrast means", "{}", fsum, "relative", ROUNDED, _contrast_means, kinds),
         NumberRow("contrast background", "shadow of 1e-30 of the floor", fsum, "relative", ROUNDED, _background),
         *each("contrast variances", "offset {:g}", ratio, "relative", 1e-4, _variances, (0.0, 25.0)),

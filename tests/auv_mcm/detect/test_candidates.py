@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from auv_mcm.detect.candidates import STEP_M, TileCandidates, by_both, by_contrast
 from auv_mcm.detect.cascade.peaks import spaced_apart
 from auv_mcm.detect.cascade.run import core_plane, trace_plane
+from auv_mcm.detect.contrasts import contrasts
 from auv_mcm.detect.detect_tile import detect_tile
 from auv_mcm.detect.gate import Forecast, Gate
-from auv_mcm.detect.prescreen import score_tile
 from auv_mcm.records import CONTRAST_SHARE, Tile
 from auv_mcm.settings.config import Config, DetectConfig
 from tests.auv_mcm.detect.drawn_cascade import MODEL
@@ -46,7 +46,7 @@ def gate_at(contrast: float) -> Gate:
 
 def test_objects_are_found_where_they_are_with_score_odds_and_the_floor_around_them() -> None:
     tile = scene()
-    maps = score_tile(tile)
+    floor = contrasts(tile, 1e-4).floor
     best = found(tile).candidates
     for row, column in PLACES:
         candidate = next(
@@ -55,7 +55,7 @@ def test_objects_are_found_where_they_are_with_score_odds_and_the_floor_around_t
         assert candidate.cascade_score == 3.0
         assert candidate.odds == 6.0
         assert candidate.peak.score > 5.0
-        assert candidate.floor == pytest.approx(maps.floor(candidate.peak.row, candidate.peak.column), rel=1e-4)
+        assert candidate.floor == pytest.approx(floor(candidate.peak.row, candidate.peak.column), rel=1e-4)
 
 
 def test_no_two_candidates_are_of_one_object() -> None:

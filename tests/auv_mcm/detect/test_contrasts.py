@@ -13,10 +13,11 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from auv_mcm.detect.contrasts import MIN_THRESHOLD, contrasts
-from auv_mcm.detect.prescreen import CONTEXT_M, ScoreMaps, find_peaks, score_tile
+from auv_mcm.detect.prescreen import CONTEXT_M
 from auv_mcm.kernels import contrast as kernel
 from auv_mcm.records import LOW_RESOLUTION, SATURATED, VALID, Tile
-from tests.auv_mcm.detect.scene_tiles import make_tile, speckle
+from tests.auv_mcm.detect.all_scores import all_scores
+from tests.auv_mcm.detect.scene_tiles import Plane, make_tile, speckle
 
 FACES = (
     "image_sums",
@@ -59,32 +60,26 @@ def drawn_tile(seed: int, shape: tuple[int, int], row_m: float = 0.12, column_m:
 
 
 def assert_same(tile: Tile, p_false_alarm: float) -> None:
-    maps, found = score_tile(tile), contrasts(tile, p_false_alarm)
-    threshold = threshold_of(p_false_alarm)
-    np.testing.assert_array_equal(found.background, maps.background, strict=True)
-    scored = slice(*found.rows)
-    np.testing.assert_array_equal(found.small[scored], maps.small_box_variance[scored], strict=True)
-    np.testing.assert_array_equal(
-        found.score, np.where(maps.score >= threshold, maps.score, np.float32(-np.inf)), strict=True
-    )
-    for radius_m in (0.1, 0.4):
-        assert found.peaks(radius_m) == find_peaks(tile, maps, p_false_alarm, radius_m)
+    score, found, exhaustive = (
+        all_scores(tile).score, contrasts(tile, p_false_alarm), contrasts(tile, p_false_alarm, bounded=False)
+    )  # fmt: skip
+    high = np.where(score >= threshold_of(p_false_alarm), score, np.float32(-np.inf))
+    np.testing.assert_array_equal(found.score, high, strict=True)
+    np.testing.assert_array_equal(exhaustive.score, high, strict=True)
     random = np.random.default_rng(tile.mask.size)
     rows, columns = (random.integers(0, n, 12).tolist() for n in tile.mask.shape)
     half_rows, half_columns = (int(n) for n in random.integers(0, 9, 2))
     asked = rows, columns, half_rows, half_columns
     for peak, row, column in zip(found.clearest(*asked), rows, columns, strict=True):
-        assert peak == clearest(maps, row, column, half_rows, half_columns)
-    row = min(max(rows[0], scored.start), scored.stop - 1)
-    assert found.floor(row, columns[0]) == maps.floor(row, columns[0])
+        assert peak == clearest(score, row, column, half_rows, half_columns)
 
 
-def clearest(maps: ScoreMaps, row: int, column: int, half_rows: int, half_columns: int) -> tuple[float, int, int]:
+def clearest(score: Plane, row: int, column: int, half_rows: int, half_columns: int) -> tuple[float, int, int]:
     best = (-np.inf, max(row - half_rows, 0), max(column - half_columns, 0))
-    for i in range(best[1], min(row + half_rows + 1, maps.score.shape[0])):
-        for j in range(max(column - half_columns, 0), min(column + half_columns + 1, maps.score.shape[1])):
-            if maps.score[i, j] > best[0]:
-                best = (float(maps.score[i, j]), i, j)
+    for i in range(best[1], min(row + half_rows + 1, score.shape[0])):
+        for j in range(max(column - half_columns, 0), min(column + half_columns + 1, score.shape[1])):
+            if score[i, j] > best[0]:
+                best = (float(score[i, j]), i, j)
     return best
 
 
@@ -95,7 +90,7 @@ def clearest(maps: ScoreMaps, row: int, column: int, half_rows: int, half_column
     spacing_m=st.sampled_from(((0.12, 0.06), (0.06, 0.03), (0.3, 0.25), (2.0, 2.0))),
     p_false_alarm=st.sampled_from((0.3, 5e-3, 1e-3, 1e-4, 1e-9)),
 )
-def test_scores_over_the_threshold_peaks_and_clearest_pixels_are_those_of_all_pixels_to_the_bit(
+def test_scores_over_the_threshold_and_clearest_pixels_are_those_of_all_pixels_to_the_bit(
     seed: int, shape: tuple[int, int], spacing_m: tuple[float, float], p_false_alarm: float
 ) -> None:
     assert_same(drawn_tile(seed, shape, *spacing_m), p_false_alarm)

@@ -14,8 +14,9 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from auv_mcm.detect.contrasts import contrasts
 from auv_mcm.detect.measure import ROWS_M, Measurement, _bridged, measure, without_footprint
-from auv_mcm.detect.prescreen import Peak, ScoreMaps, find_peaks, score_tile
+from auv_mcm.detect.prescreen import Peak
 from auv_mcm.records import SATURATED, TURN, VALID, Tile
 from auv_mcm.snippet import pack_snippet
 from tests.auv_mcm.detect.scene_tiles import COLUMN_M, FIRST_RETURN_M, ROW_M, Plane, make_tile, speckle
@@ -71,21 +72,20 @@ def even(shape: tuple[int, int] = SHAPE) -> Plane:
     return np.ones(shape, dtype=np.float32)
 
 
-def measured_at(tile: Tile, maps: ScoreMaps, peak: Peak, beam_width_rad: float) -> Measurement:
-    return measure(tile, maps.floor(peak.row, peak.column), peak, beam_width_rad)
+def measured_at(tile: Tile, peak: Peak, beam_width_rad: float) -> Measurement:
+    return measure(tile, contrasts(tile, 5e-4).floor(peak.row, peak.column), peak, beam_width_rad)
 
 
 def measured(tile: Tile, drawn_object: Drawn, beam_width_rad: float = 0.0) -> Measurement:
     """Of the best peak within a metre of the object."""
-    maps = score_tile(tile)
     centre = drawn_object.centre
     near = [
         peak
-        for peak in find_peaks(tile, maps, 5e-4, 0.4)
+        for peak in contrasts(tile, 5e-4).peaks(0.4)
         if math.hypot((peak.row + 0.5 - centre[0]) * ROW_M, (peak.column + 0.5 - centre[1]) * COLUMN_M) < 1.0
     ]
     assert near, "no peak near the object"
-    return measured_at(tile, maps, near[0], beam_width_rad)
+    return measured_at(tile, near[0], beam_width_rad)
 
 
 OBJECTS = st.builds(
@@ -198,7 +198,7 @@ def test_a_shadow_alone_is_placed_where_it_starts() -> None:
 def test_a_highlight_alone_has_no_height() -> None:
     drawn_object = Drawn(78, 150, 5, 6, 0)
     tile = make_tile(draw(even(), drawn_object, bright=30.0))
-    found = measured_at(tile, score_tile(tile), Peak(5.0, 80, 152), 0.0)
+    found = measured_at(tile, Peak(5.0, 80, 152), 0.0)
     assert found.has_highlight
     assert not found.has_shadow
     assert math.isnan(found.height_m)
@@ -280,8 +280,7 @@ def test_a_short_object_seen_through_a_wide_beam_is_short_up_to_30_db_over_the_s
     drawn_object = Drawn(58, 200, rows, 6, 40)
     tile = make_tile(through_beam(draw(even(), drawn_object, bright, 0.01), footprint_m))
     slant_m = math.hypot(drawn_object.centre[1] * COLUMN_M, FIRST_RETURN_M)
-    maps = score_tile(tile)
-    found = measured_at(tile, maps, Peak(5.0, drawn_object.row + rows // 2, 203), footprint_m / slant_m)
+    found = measured_at(tile, Peak(5.0, drawn_object.row + rows // 2, 203), footprint_m / slant_m)
     assert found.has_highlight
     # Three whole rows of the beam's edge, and half a row by which edges are interpolated. At 37 dB it is 4.7 rows.
     assert found.along_m < max(rows * ROW_M, 0.5 * footprint_m) + 3.5 * ROW_M
@@ -293,7 +292,7 @@ def test_a_long_object_seen_through_a_wide_beam_keeps_its_length(bright: float, 
     drawn_object = Drawn(52, 200, 18, 6, 40)
     tile = make_tile(through_beam(draw(even(), drawn_object, bright, 0.01), footprint_m))
     slant_m = math.hypot(drawn_object.centre[1] * COLUMN_M, FIRST_RETURN_M)
-    found = measured_at(tile, score_tile(tile), Peak(5.0, 61, 203), footprint_m / slant_m)
+    found = measured_at(tile, Peak(5.0, 61, 203), footprint_m / slant_m)
     assert found.along_m == pytest.approx(18 * ROW_M, abs=2.5 * ROW_M)
     assert found.row == pytest.approx(drawn_object.centre[0], abs=0.5)
 
@@ -317,7 +316,7 @@ def test_an_object_that_leaves_the_region_is_said_to_but_one_cut_off_by_the_end_
     n_rows = 2 * round(ROWS_M / ROW_M) + 40
     ridge = draw(even((n_rows, 300)), Drawn(0, 150, n_rows, 6, 20))
     tile = make_tile(ridge)
-    assert measured_at(tile, score_tile(tile), Peak(5.0, n_rows // 2, 152), 0.0).touches_border
+    assert measured_at(tile, Peak(5.0, n_rows // 2, 152), 0.0).touches_border
     at_start = Drawn(0, 150, 4, 6, 20)
     assert not measured(make_tile(draw(even(), at_start)), at_start).touches_border
     at_end = Drawn(SHAPE[0] - 4, 150, 4, 6, 20)
@@ -383,10 +382,9 @@ def test_any_pixel_of_any_tile_can_be_measured(seed: int) -> None:
     n_rows, n_columns = tile.mask.shape
     random = np.random.default_rng(seed + 1)
     with np.errstate(all="raise", under="ignore"):
-        maps = score_tile(tile)
         for _ in range(4):
             peak = Peak(1.0, int(random.integers(0, n_rows)), int(random.integers(0, n_columns)))
-            found = measured_at(tile, maps, peak, float(random.choice([0.0, 0.01, 0.3])))
+            found = measured_at(tile, peak, float(random.choice([0.0, 0.01, 0.3])))
             assert 0.0 <= found.row <= n_rows
             assert 0.0 <= found.column <= n_columns
             assert (
@@ -401,7 +399,7 @@ def test_any_pixel_of_any_tile_can_be_measured(seed: int) -> None:
             )
             assert not found.height_m < 0.0
             assert not found.shadow_length_m <= 0.0
-            again = measured_at(tile, maps, peak, 0.0)._replace(snippet=found.snippet)
+            again = measured_at(tile, peak, 0.0)._replace(snippet=found.snippet)
             assert again.row == found.row
             assert 0.0 <= found.snippet_row <= found.snippet.shape[0]
             assert 0.0 <= found.snippet_column <= found.snippet.shape[1]

@@ -8,9 +8,9 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from auv_mcm.detect.prescreen import ScoreMaps, find_peaks, score_tile
+from auv_mcm.detect.contrasts import contrasts
 from auv_mcm.records import LOW_RESOLUTION, VALID
-from tests.auv_mcm.detect.scene_tiles import COLUMN_M, ROW_M, Plane, make_tile, speckle
+from tests.auv_mcm.detect.scene_tiles import COLUMN_M, ROW_M, make_tile, speckle
 from tests.auv_mcm.detect.test_prescreen import pixels, threshold_of
 
 
@@ -37,17 +37,13 @@ def test_peaks_are_the_highest_scores_around_in_the_core(seed: int, p_false_alar
         allowed = core[0] <= i < core[1] and mask[i, j] == VALID
         if allowed and score[i, j] >= np.float32(threshold_of(p_false_alarm)) and score[i, j] == around.max():
             expected.append((-float(score[i, j]), i, j))
-    maps = only_score(score)
-    assert [(-p.score, p.row, p.column) for p in find_peaks(tile, maps, p_false_alarm, radius_m)] == sorted(expected)
-
-
-def only_score(score: Plane) -> ScoreMaps:
-    return ScoreMaps(score, score, score, score, score)
+    high = np.where(score >= np.float32(threshold_of(p_false_alarm)), score, np.float32(-np.inf))
+    found = contrasts(tile, p_false_alarm)._replace(score=high).peaks(radius_m)
+    assert [(-p.score, p.row, p.column) for p in found] == sorted(expected)
 
 
 def test_lower_thresholds_only_add_peaks() -> None:
     tile = make_tile(speckle(9, (100, 150)))
-    maps = score_tile(tile)
-    counts = [set(find_peaks(tile, maps, p, 0.4)) for p in (1e-6, 5e-4, 1e-2, 0.3)]
+    counts = [set(contrasts(tile, p).peaks(0.4)) for p in (1e-6, 5e-4, 1e-2, 0.3)]
     assert all(fewer <= more for fewer, more in pairwise(counts))
     assert counts[3]

@@ -15,10 +15,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from auv_mcm.detect import contrasts as module
 from auv_mcm.detect import prescreen
+from auv_mcm.detect.contrasts import contrasts
 from auv_mcm.detect.detect_tile import OVERLAP_M
-from auv_mcm.detect.prescreen import CONTEXT_M, Peak, find_peaks, score_tile
+from auv_mcm.detect.prescreen import CONTEXT_M, Peak
 from auv_mcm.records import LOW_RESOLUTION, SATURATED, VALID, Tile
+from tests.auv_mcm.detect.all_scores import all_scores
 from tests.auv_mcm.detect.scene_tiles import COLUMN_M, ROW_M, Plane, make_tile, speckle
 
 Values = NDArray[np.float64]
@@ -203,7 +206,7 @@ def patchy_mask(seed: int, shape: tuple[int, int]) -> NDArray[np.uint8]:
 
 
 def assert_like(tile: Tile, slow: Slow) -> None:
-    maps = score_tile(tile)
+    maps = all_scores(tile)
     known = np.isfinite(slow.score)
     np.testing.assert_array_equal(np.isfinite(maps.score), known)
     np.testing.assert_allclose(maps.background, slow.background, rtol=1e-5)
@@ -249,7 +252,7 @@ def empty_floor(n_tiles: int, *, spread_pixels: float = 0.0, texture_nu: float =
 
 def inner_scores(tiles: list[Tile]) -> Plane:
     """Scores of the pixels away from the tiles' edges."""
-    return np.stack([score_tile(tile).score[INNER] for tile in tiles])
+    return np.stack([all_scores(tile).score[INNER] for tile in tiles])
 
 
 @cache
@@ -259,6 +262,11 @@ def empty_floor_scores(*, spread_pixels: float = 0.0, texture_nu: float = 0.0) -
 
 def alarm_share(scores: Plane, p_false_alarm: float) -> float:
     return float((scores > threshold_of(p_false_alarm)).mean())
+
+
+def eight_columns_behind(tile: module.Contrasts, places: NDArray[np.int32]) -> Plane:
+    behind = np.minimum(places + 8, np.int32(tile.score.size - 1))
+    return np.asarray(-module._shadow_deviates(tile, module._Spots.at(tile, behind), 0))
 
 
 @pytest.mark.parametrize(
@@ -275,7 +283,7 @@ def test_one_highlight_and_shadow_test_keeps_its_false_alarm_rate_in_speckle(
     nominal rate."""
     monkeypatch.setattr(prescreen, "HIGHLIGHTS_M", (highlight_m,))
     monkeypatch.setattr(prescreen, "SHADOWS_M", (shadow_m,))
-    monkeypatch.setattr(prescreen, "darkest_behind", lambda deviate, lag_columns: np.roll(deviate, -8, axis=1))
+    monkeypatch.setattr(module, "_shadows_at", eight_columns_behind)
     scores = inner_scores(empty_floor(2, spread_pixels=spread_pixels))
     for p_false_alarm in (0.05, 1e-2, 2e-3):
         assert alarm_share(scores, p_false_alarm) < 1.5 * p_false_alarm
@@ -308,7 +316,7 @@ def test_borders_of_masked_areas_and_of_the_tile_at_most_double_the_alarms() -> 
         for _ in range(40):
             i, j = random.integers(0, mask.shape[0]), random.integers(0, mask.shape[1])
             mask[i : i + random.integers(1, 8), j : j + random.integers(1, 20)] = 0
-        alarm = score_tile(make_tile(tile.intensity, mask)).score > threshold_of(5e-4)
+        alarm = all_scores(make_tile(tile.intensity, mask)).score > threshold_of(5e-4)
         valid = mask == VALID
         deep = cv2.erode(np.pad(mask, 1), np.ones((7, 7), dtype=np.uint8))[1:-1, 1:-1] == VALID
         inside.append(alarm[deep].mean())
@@ -322,8 +330,8 @@ def test_gain_changes_no_score(exponent: float, seed: int) -> None:
     """Below the bounds put on bright pixels, which are set for tiles of mean one."""
     intensity = np.minimum(speckle(seed, (60, 90)), np.float32(5.0))
     plain, louder = (
-        score_tile(make_tile(intensity)),
-        score_tile(make_tile((intensity * 10.0**exponent).astype(np.float32))),
+        all_scores(make_tile(intensity)),
+        all_scores(make_tile((intensity * 10.0**exponent).astype(np.float32))),
     )
     np.testing.assert_allclose(louder.score, plain.score, rtol=0, atol=1e-5)
 
@@ -331,14 +339,14 @@ def test_gain_changes_no_score(exponent: float, seed: int) -> None:
 def test_port_and_starboard_score_alike() -> None:
     intensity = speckle(1, (60, 90))
     for port, starboard in zip(
-        score_tile(make_tile(intensity, side="port")), score_tile(make_tile(intensity)), strict=True
+        all_scores(make_tile(intensity, side="port")), all_scores(make_tile(intensity)), strict=True
     ):
         np.testing.assert_array_equal(port, starboard)
 
 
 def test_reversing_the_track_reverses_the_scores() -> None:
     intensity = speckle(2, (60, 90), texture_nu=3.0)
-    there, back = score_tile(make_tile(intensity)), score_tile(make_tile(intensity[::-1]))
+    there, back = all_scores(make_tile(intensity)), all_scores(make_tile(intensity[::-1]))
     np.testing.assert_allclose(back.score[::-1], there.score, rtol=0, atol=1e-5)
 
 
@@ -350,9 +358,9 @@ def test_context_is_all_a_score_depends_on_along_track(row_m: float) -> None:
     n_rows = 2 * context + 60
     strip = speckle(3, (n_rows, 120), texture_nu=2.0)
     strip[context + 20 : context + 24, 50:54] *= 20.0
-    whole = score_tile(make_tile(strip, row_m=row_m))
+    whole = all_scores(make_tile(strip, row_m=row_m))
     for start, stop in ((0, n_rows - 40), (33, n_rows), (17, n_rows - 9)):
-        piece = score_tile(make_tile(strip[start:stop], row_m=row_m))
+        piece = all_scores(make_tile(strip[start:stop], row_m=row_m))
         inner = slice(context if start else 0, stop - start - (context if stop < n_rows else 0))
         for found, expected in zip(piece, whole, strict=True):
             np.testing.assert_allclose(found[inner], expected[start:stop][inner], rtol=1e-5, atol=1e-5)
@@ -366,7 +374,7 @@ def test_a_masked_border_is_like_a_tile_that_ends_there() -> None:
     mask[10:60, :80] = VALID
     wide = np.full((70, 110), 7.0, dtype=np.float32)
     wide[10:60, :80] = intensity
-    bordered, plain = score_tile(make_tile(wide, mask)), score_tile(make_tile(intensity))
+    bordered, plain = all_scores(make_tile(wide, mask)), all_scores(make_tile(intensity))
     np.testing.assert_allclose(bordered.score[10:60, :80], plain.score, rtol=0, atol=1e-5)
     assert (bordered.score[mask == 0] == -np.inf).all()
 
@@ -377,8 +385,8 @@ def flat(value: float, shape: tuple[int, int] = (90, 130)) -> Plane:
 
 def peaks_of(tile: Tile, p_false_alarm: float = 5e-4) -> list[Peak]:
     with np.errstate(all="raise", under="ignore"):
-        maps = score_tile(tile)
-        found = find_peaks(tile, maps, p_false_alarm, 0.4)
+        maps = all_scores(tile)
+        found = contrasts(tile, p_false_alarm).peaks(0.4)
     assert not any(np.isnan(plane).any() for plane in maps)
     assert all(np.isfinite(plane).all() for plane in maps[1:])
     return found
@@ -417,14 +425,14 @@ def test_an_empty_tile_gives_no_peak_and_no_nan(tile: Tile) -> None:
 def test_a_strip_too_narrow_for_a_background_claims_nothing(shape: tuple[int, int]) -> None:
     intensity = speckle(0, shape)
     intensity[shape[0] // 2, shape[1] // 2] = 50.0
-    assert (score_tile(make_tile(intensity)).score == -np.inf).all()
+    assert (all_scores(make_tile(intensity)).score == -np.inf).all()
     assert peaks_of(make_tile(intensity)) == []
 
 
 def test_inside_a_stretch_of_dropped_samples_nothing_is_claimed() -> None:
     intensity = speckle(2, (140, 130))
     intensity[40:100] = 0.0
-    score = score_tile(make_tile(intensity)).score
+    score = all_scores(make_tile(intensity)).score
     frame_rows = pixels(prescreen.FRAME_ROWS_M, ROW_M)
     assert (score[40 + frame_rows : 100 - frame_rows] == -np.inf).all()
     assert np.isfinite(score[:40]).any()
@@ -460,7 +468,7 @@ def test_a_saturated_half_is_no_background_for_the_other() -> None:
         clipped[64:] = level
         peaks = peaks_of(make_tile(clipped, mask))
         assert min(np.hypot(p.row - 59.5, p.column - 61.5) for p in peaks) < 4.0
-        maps = score_tile(make_tile(clipped, mask))
+        maps = all_scores(make_tile(clipped, mask))
         scores.append(maps.background[50:62])
     np.testing.assert_allclose(scores[0], scores[1], rtol=1e-6)
 
