@@ -92,6 +92,7 @@ class PixelGrid(NamedTuple):
     column_m: float
 
     def rows(self, length_m: float) -> int:
+        """Convert a length along the track, m, to whole rows, 1 at the minimum."""
         return max(1, round(length_m / self.row_m))
 
     def columns(self, length_m: float) -> int:

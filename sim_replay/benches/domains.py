@@ -13,16 +13,24 @@ import argparse
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.contacts.background import BIN_NATS, LEVELS_NATS, shipped_background
+from auv_mcm.contacts.background import (
+    BIN_NATS,
+    LEVELS_NATS,
+    Background,
+    BackgroundModel,
+    BackgroundPrior,
+    counted_log_odds,
+    estimate_background,
+    shipped_background,
+)
 from auv_mcm.detect.belief import probability
 from sim_replay.benches.experiment import Cell, Column, Experiment, Task, density, number, share
-from sim_replay.benches.point import Judged, judged
 from sim_replay.fitting.fit_background import SortedContacts, flown_along, flown_scene
 from sim_replay.fitting.left_out import LIMITS_PER_KM2
 from sim_replay.fitting.recorders import RECORDED_SCENES, RECORDERS, recorded_by
@@ -39,6 +47,20 @@ FIXED_P_MINE: Final = 0.2  # what a fixed threshold reaches, which the operating
 
 OWN: Final = "own"  # recorder of the scene or line
 _RELIABILITY_HEADER: Final = ("domains", "p_mine", "contacts", "mean p_mine", "on mines")
+
+
+class Judged(NamedTuple):
+    """Hold one mission, with the background that its contacts show by a prior that it was left out of."""
+
+    mission: SortedContacts
+    prior: BackgroundPrior
+    background: Background
+
+
+def judged(mission: SortedContacts, model: BackgroundModel) -> Judged:
+    """Estimate a mission's background by a prior that it was left out of."""
+    prior = next((left.prior for left in model.left_out if left.scene == mission.scene), model.cascade)
+    return Judged(mission, prior, estimate_background(counted_log_odds(mission.everything), mission.area_km2, prior))
 
 
 def fly(task: Task) -> dict[str, SortedContacts]:

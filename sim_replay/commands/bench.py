@@ -16,15 +16,10 @@ BENCHES: Final = {  # modules of sim_replay with EXPERIMENT, or add_arguments an
         "benches.every_stage.bench",
         "every stage's time against error, beside what a user would take instead; and under stress",
     ),
-    "scenes": ("benches.scenes", "what is found in the named scenes, and what each step of confirmation adds"),
     "mutants": ("benches.mutants", "damaged logs: none may crash, hang, take memory, or report what cannot be"),
     "law": ("benches.law", "whether the law of a recorder is recognised, and its decibels per count"),
     "seabed": ("benches.seabed", "the live map of the sea floor against the truth of the named scenes"),
     "clearance": ("benches.clearance", "mines left, estimated against true"),
-    "point": (
-        "benches.point",
-        "false alarms at the operating point against those requested, and Pd, on domains left out",
-    ),
     "domains": ("benches.domains", "p_mine on whole domains: Pd at given false alarms, and calibration"),
     "view": ("benches.view", "whole missions judged in a browser, and heights measured there; makes the screenshots"),
 }
@@ -38,17 +33,19 @@ FINISHED: Final = {
         "resolution", "simulate", "tours", "waterfall",
     ),
     ("benches-2", _BENCHES_PAGE): ("adapt", "decibels", "left-out", "library", "limit", "performance", "soak"),
+    ("c57be406", _BENCHES_PAGE): ("point", "scenes"),
     ("studies-1", _STUDIES_PAGE): (
         "beliefs", "collage", "families", "figure12", "figure13", "filters", "fusion", "images", "inversion", "pfa",
         "sas", "segmentation", "shadow", "shapes", "snakes", "verifier",
     ),
 }  # fmt: skip
-"""Benches whose figures are in the documentation, by the tag of the sources that holds them and the page that says how
-to run them."""
+"""Benches whose figures are in the documentation, by the tag or commit of the sources that holds them, and by the page
+that says how to run them."""
 INSTEAD: Final = {
     "cascade": "bench all --stages cascade", "confirmation": "bench all --stages field,contours,solids",
-    "framers": "bench all --stages framers", "froc": "bench scenes --log LOG",
+    "framers": "bench all --stages framers", "froc": "bench domains --log LOG",
     "left-out": "calibrate odds --judged 1 --judge-log LINE.xtf", "performance": "bench clearance",
+    "point": "bench domains", "scenes": "bench domains",
     "segmentation": "bench all --stages field", "shapes": "bench all --stages solids",
     "simulate": "bench all --stages simulator", "snakes": "bench all --stages contours",
     "soak": "hil soak cut_off stop_under_load", "tours": "bench all --stages planner", "waterfall": "bench chain",
@@ -64,7 +61,7 @@ def add(commands: Commands) -> None:
         "measure speed, memory and what is found",
         "\n".join(f"{name + ':':14}{does}" for name, (_, does) in BENCHES.items())
         + "\n\nFurther arguments go to the bench.",
-        ["auv-mcm bench chain --log mission.xtf", "auv-mcm bench scenes --help"],
+        ["auv-mcm bench chain --log mission.xtf", "auv-mcm bench domains --help"],
     )
     parser.add_argument(
         "bench", metavar="BENCH", choices=[*BENCHES, *ALIASES, *sum(FINISHED.values(), ())], help="what to measure"
@@ -78,7 +75,7 @@ def _run(chosen: argparse.Namespace) -> int:
         if chosen.bench in names:
             instead = INSTEAD.get(chosen.bench)
             raise UsageError(
-                f"'{chosen.bench}' is finished, and kept in the sources at the tag {tag}: {page} says where its "
+                f"'{chosen.bench}' is finished, and kept in the sources at {tag}: {page} says where its "
                 "results are and how to run it"
                 + (f"; 'auv-mcm {instead}' measures something like it" if instead else "")
             )

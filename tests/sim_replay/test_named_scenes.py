@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from importlib import resources
 from itertools import islice
 from typing import get_args
@@ -9,8 +10,10 @@ from typing import get_args
 import numpy as np
 import pytest
 
+from auv_mcm.detect.cascade.choose import configured_model, fitting
 from auv_mcm.records import NavSample, Ping
-from sim_replay.missions import SCENES
+from auv_mcm.settings.config import Config
+from sim_replay.missions import SCENES, config_for, served_by
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.plan import planned_legs, swath_m
 from sim_replay.simulator.recording import sample_type
@@ -68,3 +71,23 @@ def test_a_short_stretch_of_each_scene_flies(name: str) -> None:
         for trace in (ping.port, ping.starboard):
             assert trace.samples.dtype == np.dtype(sample_type(mission.sea.recorder))
             assert trace.samples.std() > 0.0
+
+
+def test_contrasts_serve_as_for_a_sonar_without_a_model() -> None:
+    model, notice = fitting(configured_model(served_by("contrast", Config())), Config())
+    assert model is None
+    assert notice.code == "detect.contrast"
+    assert fitting(configured_model(served_by("cascade", Config())), Config())[0] is not None
+
+
+def test_the_chain_is_given_the_beam_width_and_nothing_else() -> None:
+    deep = config_for(read_scene("deep"))
+    assert deep.sonar.beam_width_deg == read_scene("deep").sonar.beam_width_deg
+    assert (deep.detect, deep.waterfall, deep.navigation) == (Config().detect, Config().waterfall, Config().navigation)
+
+
+def test_a_synthetic_aperture_has_the_beam_of_its_resolution_at_half_range() -> None:
+    scene = read_scene("sas")
+    assert scene.sonar.synthetic_aperture is not None
+    width_m = math.radians(config_for(scene).sonar.beam_width_deg) * 0.5 * scene.sonar.range_m
+    assert width_m == pytest.approx(scene.sonar.synthetic_aperture.along_track_resolution_m)

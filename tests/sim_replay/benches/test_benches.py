@@ -26,7 +26,7 @@ def test_every_bench_that_is_offered_explains_itself(bench: str, capsys: pytest.
     "arguments",
     [
         ["chain", "--repeat", "0"],
-        ["scenes", "--seeds", "-3"],
+        ["domains", "--seeds", "-3"],
         ["seabed", "--seeds", "many"],
     ],
 )
@@ -42,7 +42,7 @@ def test_numbers_that_nothing_can_be_measured_with_are_refused(
 @pytest.mark.parametrize(("tag", "bench"), [(tag, name) for (tag, _), names in FINISHED.items() for name in names])
 def test_a_finished_bench_says_where_it_is(tag: str, bench: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bench", bench, "--markdown"]) == 2
-    assert f"'{bench}' is finished, and kept in the sources at the tag {tag}" in capsys.readouterr().err
+    assert f"'{bench}' is finished, and kept in the sources at {tag}" in capsys.readouterr().err
 
 
 def test_a_bench_loads_no_other_ones_modules() -> None:

@@ -11,15 +11,22 @@ from sim_replay.benches.domains import (
     EXPERIMENT,
     OWN,
     grouped,
+    judged,
     n_found_at,
     reliability,
     within_mission,
 )
 from sim_replay.benches.experiment import experiment_rows
-from sim_replay.benches.point import judged
 from sim_replay.fitting.recorders import RECORDED_SCENES, RECORDERS, recorded_by
 from sim_replay.simulator.scene_file import check_scene, read_scene
 from tests.sim_replay.fitting.test_background_fit import drawn_mission
+
+
+def test_a_mission_is_judged_by_a_prior_that_it_was_left_out_of() -> None:
+    model = shipped_background()
+    left = model.left_out[0]
+    assert judged(drawn_mission(1, left.scene), model).prior == left.prior
+    assert judged(drawn_mission(1, "a recorded line"), model).prior == model.cascade
 
 
 def test_the_share_of_mines_is_a_probability_that_rises_at_first() -> None:

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from auv_mcm.errors import UsageError
+from auv_mcm.errors import BadInputError, UsageError
+from sim_replay.benches import experiment
 from sim_replay.benches.experiment import (
     Column,
     Experiment,
@@ -41,6 +42,7 @@ EXPERIMENT = Experiment(
     scenes=("flat", "ripple"),
     first_seed=5,
     n_seeds=2,
+    n_draws=1,
     variant_title="what",
     variants=("without", "with"),
     fly=fly,
@@ -96,6 +98,15 @@ def test_scenes_are_chosen_and_other_missions_are_named(tmp_path: Path, capsys: 
         run("--scene", "flat", "--scenes", "ripple")
     with pytest.raises(UsageError, match="there is no 'nowhere'"):
         run("--scenes", "nowhere")
+
+
+def test_a_log_that_cannot_be_read_is_rejected_before_any_mission_is_flown(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (empty := tmp_path / "empty.xtf").touch()
+    monkeypatch.setattr(experiment, "run_tasks", lambda *_: pytest.fail("a mission is flown"))
+    with pytest.raises(BadInputError, match="is empty"):
+        run("--log", str(empty))
 
 
 def test_a_file_of_another_experiment_is_refused(tmp_path: Path) -> None:
