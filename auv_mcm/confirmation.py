@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from auv_mcm.classify.beliefs import FRAME, dempster, vacuous
 from auv_mcm.classify.chips import chip_of, chips_beside
-from auv_mcm.classify.details import contour_details, detection_details, solid_details
+from auv_mcm.classify.details import detection_details
 from auv_mcm.classify.evidence import TEMPERATURE, ClassEvidence, view_mass
 from auv_mcm.classify.features import (
     Features,
@@ -64,7 +64,7 @@ _NO_LABELS: Final = np.empty((0, 0), dtype=np.uint8)
 class Examination(NamedTuple):
     """Hold the results of all steps for one detection; None for steps that were not taken.
 
-    contour_features: of the first contours. features: of the last step taken; details: those that only trees weigh.
+    contour_features: of the first contours. features: of the last step taken.
     p_contours: p_mine after the first contours.
     """
 
@@ -74,7 +74,6 @@ class Examination(NamedTuple):
     fits: ShapeFits | None
     contour_features: Features
     features: Features
-    details: Features
     p_contours: float
 
 
@@ -128,7 +127,6 @@ def confirm_detection(
         min_p_mine,
         refines_all="hopeless-solids" in without_skips,
         ranges=sizes.ranges,
-        measures_features=verified is None,
     )
     p_by_step["contours"] = examination.p_contours if verified is None else p_by_step["verifier"]
     log_ratio = evidence_of(examination, odds) if verified is None else verified
@@ -227,7 +225,7 @@ def _detector_ratio(detection: Detection, odds: MineOdds) -> float:
 def evidence_of(examination: Examination, odds: MineOdds) -> float:
     """Weigh the last step that was taken, in nats for a mine."""
     step: MeasuredStep = "contours" if examination.fits is None else "shape"
-    return _ratio(step, examination.features | examination.details, examination.contours, odds)
+    return _ratio(step, examination.features, examination.contours, odds)
 
 
 def _ratio(step: MeasuredStep, features: Features, contours: Contours, odds: MineOdds) -> float:
@@ -264,9 +262,10 @@ def examine(
     done: Callable[[ExaminationStep], None] = lambda step: None,
     refines_all: bool = False,
     ranges: SearchRanges = USUAL_RANGES,
-    measures_features: bool = True,
 ) -> Examination:
     """Run the steps until p_mine falls below `min_p_mine`; all steps if `odds` is None.
+
+    Odds with a verifier need no features: they stay empty, p_contours is NaN, and all steps are taken.
 
     Parameters
     ----------
@@ -276,8 +275,6 @@ def examine(
         With the beam also solids that are far behind.
     ranges
         Of the parameters of solids that are searched.
-    measures_features
-        False leaves them empty and p_contours NaN: all steps are taken.
     """
     area = grain_area(region.intensity, region.valid)
     ground = survey(region, area)
@@ -286,16 +283,16 @@ def examine(
     done("first contours")
     before: Features = {}
     first: Features = {}
-    seen: Features = {}
     p_contours = math.nan
+    measures_features = odds is None or odds.verifier is None
     if measures_features:
-        before, seen = detector_features(detection), detection_details(detection)
+        before = detector_features(detection)
         first = before | contour_features(contours) | outline_features(contours, region)
         if odds is not None:
-            p_contours = odds.p_mine(_ratio("contours", first | seen, contours, odds))
+            p_contours = odds.p_mine(_ratio("contours", first, contours, odds))
     done("features")
     if p_contours < min_p_mine:
-        return Examination(region, contours, None, None, first, first, seen, p_contours)
+        return Examination(region, contours, None, None, first, first, p_contours)
     segmentation = segment(region)
     done("field")
     own = labels_near(segmentation.labels, region)
@@ -308,13 +305,12 @@ def examine(
     image = image_row_sums(region, area)
     fits = fit_to(image, region, contour_cost(image, region, contours, area), Effort(refines_all=refines_all), ranges)
     done("solids")
-    features, details = first, seen
+    features = first
     if measures_features:
         found = before | contour_features(contours) | outline_features(contours, region)
         features = with_shape(found, shape_features(fits, segmentation.labels))
-        details = seen | contour_details(contours, region) | solid_details(fits, segmentation.labels, region)
     done("features")
-    return Examination(region, contours, segmentation, fits, first, features, details, p_contours)
+    return Examination(region, contours, segmentation, fits, first, features, p_contours)
 
 
 def labels_near(labels: NDArray[np.uint8], region: Region) -> NDArray[np.uint8] | None:

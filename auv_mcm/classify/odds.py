@@ -1,8 +1,9 @@
 """Compute the odds of a mine after each step of confirmation, and the belief mass that stands for them.
 
-Each step weighs what has been measured so far, by logistic regression (D. R. Cox, J. Royal Statistical Society B 20,
-1958) for detections of contrasts, by boosted trees (J. H. Friedman, Annals of Statistics 29, 2001) for those of the
-cascade; both are fitted on simulated missions with seeds that nothing is scored on. The log-odds of mines among the
+Each step weighs what has been measured so far. Detections of contrasts are weighed step by step by logistic regression
+(D. R. Cox, J. Royal Statistical Society B 20, 1958), those of the cascade by boosted trees (J. H. Friedman, Annals of
+Statistics 29, 2001) and then by the verifier; all are fitted on simulated missions with seeds that nothing is scored
+on. The log-odds of mines among the
 detections fitted on are taken off: what is left is the evidence of the view alone, a log-likelihood ratio that several
 views may add up. How rare mines are is put back once per contact, as one more source.
 """
@@ -222,16 +223,16 @@ class MineOdds(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
     prior: log-odds of a mine among the detections they were fitted on. fitted_on: what those were. made_by: version and
     command that make the same file again. left_out: a row per domain, then per kind of domain, then of all.
-    recalibrated: None for weights that no verdict has changed. verifier: decides in place of contours and shape; None
-    where those decide. fitted_for: whose detections, None for the weights that ship.
+    recalibrated: None for weights that no verdict has changed. verifier: decides in place of contours and shape, which
+    are not read then; None where those decide. fitted_for: whose detections, None for the weights that ship.
     """
 
     fitted_on: str
     made_by: str = ""
     prior: _Prior
     detector: Weights
-    contours: Weights
-    shape: Weights
+    contours: Weights | None = None
+    shape: Weights | None = None
     left_out: tuple[LeftOut, ...] = ()
     recalibrated: Recalibration | None = None
     verifier: Verification | None = None
@@ -252,7 +253,9 @@ class MineOdds(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
         features: all that the step was fitted with, and others perhaps. Raises ValueError if one of those is missing.
         """
-        weighed: Weights = getattr(self, step)
+        weighed: Weights | None = getattr(self, step)
+        if weighed is None:
+            raise ValueError(f"{step}: these odds are decided by the verifier")
         try:
             odds = weighed.log_odds(features)
         except KeyError as missing:
@@ -298,10 +301,14 @@ def configured_odds(config: Config, detector: Detector) -> MineOdds:
 
 def parse_odds(data: bytes, place: str) -> MineOdds:
     """Parse weights from JSON. Raises BadInputError naming `place` and what is wrong with it."""
+    again = "Write the file again with 'auv-mcm calibrate odds'"
     try:
-        return msgspec.json.decode(data, type=MineOdds)
+        odds = msgspec.json.decode(data, type=MineOdds)
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise BadInputError(f"{place}: {error}. Write the file again with 'auv-mcm calibrate odds'") from error
+        raise BadInputError(f"{place}: {error}. {again}") from error
+    if odds.verifier is None and any(step is None or step.trees for step in (odds.contours, odds.shape)):
+        raise BadInputError(f"{place}: without a verifier `contours` and `shape` have to be sums of weights. {again}")
+    return odds
 
 
 def share_of_ratio(log_ratio: float) -> float:

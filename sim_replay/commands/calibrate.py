@@ -300,10 +300,11 @@ FITS: Final = (
         "what each measurement of a detection says about the odds of a mine, from simulated missions; the weights "
         "that ship were fitted so",
         "learn the odds of a mine from what confirmation measures",
-        "Flies simulated missions, and fits the weights that turn measurements into p_mine. With --judged, prints how "
-        "weights fitted likewise do on scenes, recorders and recorded lines left out, and writes that into the file "
-        "too. The same options make the same weights. --verdicts recalibrates those that ship instead, and refuses "
-        "where missions left out gain nothing.",
+        "Flies simulated missions, and fits the weights that turn measurements into p_mine; beside those of the "
+        "cascade it weighs the verifier that ships. With --judged, prints how weights fitted likewise do, before the "
+        "verifier, on scenes, recorders and recorded lines left out, and writes that into the file too. The same "
+        "options make the same weights. --verdicts recalibrates those that ship instead, and refuses where missions "
+        "left out gain nothing.",
         (
             "auv-mcm calibrate odds --out odds.json",
             "auv-mcm calibrate odds --detector contrast --seeds 8 --crowded 5 --out odds.json",

@@ -20,7 +20,7 @@ from auv_mcm import __version__
 from auv_mcm.classify.odds import MineOdds, shipped_odds
 from auv_mcm.classify.verifier import shipped_network
 from auv_mcm.errors import UsageError
-from auv_mcm.records import Detector, MeasuredStep
+from auv_mcm.records import Detector
 from auv_mcm.shell.whole_files import make_directory, write_file
 from sim_replay.augment.recorded_line import check_lines
 from sim_replay.fitting.cascade.farm import Farm
@@ -148,7 +148,7 @@ def fit_from_missions(
         farm = Farm(n_workers)
         flown = all_looks([*judged, *fitted], looks or Path(folder), farm, show)
         odds = fitted_odds(missions, flown[len(judged) :])
-        if missions.theatre != USUAL and missions.detector == "cascade":
+        if missions.detector == "cascade":
             odds = beside_network(odds, fitted, (looks or Path(folder)) / "verifier", farm, show)
     if judged:
         odds = judged_on_left_out(odds, missions.detector, flown, frozenset(judged))
@@ -187,12 +187,12 @@ def beside_network(
     return msgspec.structs.replace(odds, verifier=weighed(seen, network.digest))
 
 
-def n_trees_of(detector: Detector) -> dict[MeasuredStep, int]:
-    """Return the trees of each step.
+def n_trees_of(detector: Detector) -> int:
+    """Return the trees that weigh what the detector measured.
 
     Contrasts serve sonars unlike those simulated, where trees that have learnt simulated ones do worse than sums.
     """
-    return {step: n if detector == "cascade" else 0 for step, n in N_TREES.items()}
+    return N_TREES if detector == "cascade" else 0
 
 
 def judged_on_left_out(
@@ -203,5 +203,5 @@ def judged_on_left_out(
     judged: of the missions flown, those that are never fitted on. Others are judged too where their domain is left out.
     """
     held_out = HELD_OUT if detector == "cascade" else frozenset[str]()
-    scores = left_out_scores(flown, held_out, dealt(flown, _FOLDS), n_trees_of(detector)["shape"], judged)
+    scores = left_out_scores(flown, held_out, dealt(flown, _FOLDS), n_trees_of(detector), judged)
     return msgspec.structs.replace(odds, left_out=left_out_rows(scores, groups_of(flown)))

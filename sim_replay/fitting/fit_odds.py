@@ -1,8 +1,9 @@
 """Fit the weights with which confirmation turns what it measures into the odds of a mine.
 
-Detections of missions whose truth is known are examples. Every step of the look is taken, whatever the odds. A target
-is the most mine-like detection within the gate of one, per side and passage; further detections of it count for
-nothing, and all others are the clutter to separate mines from. The examples of usual missions give the rarity of mines.
+Detections of missions whose truth is known are examples. Of the cascade's, what the detector measured is weighed,
+beside the verifier; of contrasts every step of the look is taken, whatever the odds. A target is the most mine-like
+detection within the gate of one, per side and passage; further detections of it count for nothing, and all others are
+the clutter to separate mines from. The examples of usual missions give the rarity of mines.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from auv_mcm.confirmation import examine, region_of
 from auv_mcm.errors import UsageError
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.pipeline import Pipeline
-from auv_mcm.records import Detection, MeasuredStep, SourceEvent
+from auv_mcm.records import Detection, Detector, MeasuredStep, SourceEvent
 from auv_mcm.settings.config import Config
 from sim_replay.fitting.cascade import trees
 from sim_replay.fitting.wide_world import wide_scene
@@ -51,15 +52,18 @@ _FAINT_KEPT: Final = 12  # one in so many: two in three are faint, and a look co
 _RIDGE: Final = 2.0  # of the logistic regression, per feature of unit variance
 _DIGITS: Final = 5  # decimals in the file
 _MAX_SHIFT: Final = 50.0  # nats
-N_TREES: Final[Mapping[MeasuredStep, int]] = {"detector": 200, "contours": 800, "shape": 800}
-"""Trees of each step for the cascade's detections; of the first, fewer, since it is asked of every detection."""
+N_TREES: Final = 200
+"""Trees that weigh what the detector measured of the cascade's detections."""
 STEPS: Final[tuple[MeasuredStep, ...]] = ("detector", "contours", "shape")
+LAST_STEP: Final[Mapping[Detector, MeasuredStep]] = {"cascade": "detector", "contrast": "shape"}
+"""Steps that measurements decide, up to this one."""
 
 
 class Example(NamedTuple):
     """Hold a detection with the measurements of every step, and its label.
 
-    details: what only trees weigh. weight: how many it stands for. usual: of a mission with as many objects as its
+    details: of the detector, what only trees weigh. contours, shape: empty for detections of the cascade. weight: how
+    many it stands for. usual: of a mission with as many objects as its
     scene has, so that it shows how rare mines are. on_object: on an object of the truth, target or not.
     """
 
@@ -69,7 +73,7 @@ class Example(NamedTuple):
     detector: Features
     contours: Features
     shape: Features
-    details: dict[MeasuredStep, Features]
+    details: Features
     on_object: bool = False
 
 
@@ -139,6 +143,7 @@ def examples_along(
     objects: Callable[[], Sequence[dict[str, Any]]],
     *,
     usual: bool,
+    detector: Detector,
 ) -> list[Example]:
     """Collect all detections along a line whose truth is known once it has been passed.
 
@@ -152,24 +157,17 @@ def examples_along(
         Returns the truth's objects, after the last event.
     usual
         See Example.
+    detector
+        Whose detections they are.
     """
     examples = []
     for detection, region, known in labelled_regions(config, events, objects):
-        looked = examine(detection, region, None, 0.0)
-        seen = detection_details(detection)
-        details: dict[MeasuredStep, Features] = {"detector": seen, "contours": seen, "shape": looked.details}
-        examples.append(
-            Example(
-                usual,
-                known.is_target,
-                known.weight,
-                detector_features(detection),
-                looked.contour_features,
-                looked.features,
-                details,
-                known.on_object,
-            )
-        )
+        contours, shape = dict[str, float](), dict[str, float]()
+        if LAST_STEP[detector] == "shape":
+            looked = examine(detection, region, None, 0.0)
+            contours, shape = looked.contour_features, looked.features
+        measured = detector_features(detection), contours, shape, detection_details(detection)
+        examples.append(Example(usual, known.is_target, known.weight, *measured, known.on_object))
     return examples
 
 
@@ -225,26 +223,27 @@ def _step_table(examples: Sequence[Example], step: MeasuredStep) -> StepTable:
     if not examples:
         return StepTable((), 0, np.empty((0, 0)))
     summed = tuple(getattr(examples[0], step))
-    names = tuple(dict.fromkeys((*summed, *examples[0].details[step])))
+    details = [example.details if step == "detector" else {} for example in examples]
+    names = tuple(dict.fromkeys((*summed, *details[0])))
     values = np.empty((len(examples), len(names)))
-    for row, example in enumerate(examples):
-        known = getattr(example, step) | example.details[step]
+    for row, (example, detail) in enumerate(zip(examples, details, strict=True)):
+        known = getattr(example, step) | detail
         values[row] = [known[name] for name in names]
     return StepTable(names, len(summed), values)
 
 
-def fit_table(looks: LookTable, fitted_on: str, n_trees: Mapping[MeasuredStep, int]) -> MineOdds:
-    """Fit weights for each step, and the requested number of trees; p_mine is right on average over the usual examples.
+def fit_table(looks: LookTable, fitted_on: str, n_trees: int = 0) -> MineOdds:
+    """Fit weights for each step, or trees for the detector alone; p_mine is right on average over the usual examples.
 
-    Raises UsageError if there are no targets, or nothing else, among those.
+    Odds of trees have to get a verifier. Raises UsageError if there are no targets, or nothing else, among those.
     """
     usual, is_target, _, weight, _ = looks
     if not is_target[usual].any() or is_target[usual].all():
         n_targets, n_usual = np.count_nonzero(is_target & usual), np.count_nonzero(usual)
         raise UsageError(f"{fitted_on}: {n_targets} targets in {n_usual} detections. Fly more missions, with --seeds")
     prior = math.log(float(weight[is_target & usual].sum()) / float(weight[~is_target & usual].sum()))
-    detector, contours, shape = (fit_step(looks, step, n_trees[step], looks.at(usual)) for step in STEPS)
-    return MineOdds(fitted_on=fitted_on, prior=round(prior, _DIGITS), detector=detector, contours=contours, shape=shape)
+    steps = {step: fit_step(looks, step, n_trees, looks.at(usual)) for step in (STEPS[:1] if n_trees else STEPS)}
+    return MineOdds(fitted_on=fitted_on, prior=round(prior, _DIGITS), **steps)  # type: ignore[arg-type]
 
 
 def fit_step(looks: LookTable, step: MeasuredStep, n_trees: int, usual: LookTable) -> Weights:
@@ -278,7 +277,9 @@ def written(odds: MineOdds) -> bytes:
         entry = msgspec.json.format(msgspec.json.encode(odds.verifier), indent=1).decode().replace("\n", "\n ")
         parts.append(f' "verifier": {entry}')
     for step in STEPS:
-        weighed: Weights = getattr(odds, step)
+        weighed: Weights | None = getattr(odds, step)
+        if weighed is None:
+            continue
         weights = ",\n".join(f"   {json.dumps(name)}: {value!r}" for name, value in weighed.weights.items())
         trees = ",\n".join(f"   {msgspec.json.encode(tree).decode()}" for tree in weighed.trees)
         parts.append(

@@ -1,7 +1,8 @@
 """Judge weights on domains that they were not fitted on: scenes, kinds of recorders and recorded lines.
 
-Weights are fitted without a domain, and without what is like it, and judged on it. Looks count one by one, taken in
-full; views of an object are not joined. A pass that saw a target and left no look at it is a miss.
+Weights are fitted without a domain, and without what is like it, and judged on it. Looks count one by one, by the last
+step that measurements decide: those of the cascade before the verifier. Views of an object are not joined. A pass that
+saw a target and left no look at it is a miss.
 """
 
 from __future__ import annotations
@@ -14,11 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.classify.odds import FoundAt, LeftOut, MineOdds, Weights
-from sim_replay.fitting.fit_odds import (
-    N_TREES,
-    fit_step,
-    log_odds_of,
-)
+from sim_replay.fitting.fit_odds import LAST_STEP, N_TREES, fit_step, log_odds_of
 from sim_replay.fitting.looks import DRAWN, LookTask, MissionLooks, pooled
 from sim_replay.fitting.recorders import RECORDED_SCENES, RECORDERS
 from sim_replay.scoring.calibration import calibration_error
@@ -90,9 +87,9 @@ def fitted_on(
 
 
 def scored(mission: MissionLooks, weights: Weights) -> Scored:
-    """Judge a mission's looks, taken in full."""
+    """Judge a mission's looks by the last step that measurements decide."""
     looks = mission.looks
-    log_odds = log_odds_of(weights, looks.steps["shape"]) if len(looks.weight) else np.empty(0)
+    log_odds = log_odds_of(weights, looks.steps[LAST_STEP[mission.task.detector]]) if len(looks.weight) else np.empty(0)
     return Scored(mission.task.domain, log_odds, looks.is_target, looks.weight, mission.n_targets, mission.area_km2)
 
 
@@ -128,7 +125,7 @@ def left_out_scores(
     missions: Sequence[MissionLooks],
     judged_only: frozenset[str],
     folds: Sequence[frozenset[str]],
-    n_trees: int = N_TREES["shape"],
+    n_trees: int = N_TREES,
     never: Collection[LookTask] = (),
 ) -> list[Scored]:
     """Judge every mission of each fold by weights fitted without the fold's domains.
@@ -153,7 +150,7 @@ def left_out_scores(
         usual = [one for one in scenes if is_judged(one)]
         if not all(any(one.looks.is_target.any() for one in some) for some in (training, usual)):
             continue
-        weights = fit_step(pooled(training), "shape", n_trees, pooled(usual))
+        weights = fit_step(pooled(training), LAST_STEP[usual[0].task.detector], n_trees, pooled(usual))
         found += [scored(one, weights) for one in missions if is_judged(one) and one.task.domain in out]
     return found
 

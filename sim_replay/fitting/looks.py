@@ -1,4 +1,4 @@
-"""Fly missions of many domains and keep what every look measured, so that odds can be fitted and judged many times.
+"""Fly missions of many domains and keep what was measured of every detection, to fit and judge odds many times.
 
 A mission is a file in a folder. Missions already there are not flown again.
 """
@@ -102,13 +102,13 @@ def all_looks(
 
 
 def fly_looks(task: LookTask) -> MissionLooks:
-    """Fly a mission and take every look in full.
+    """Fly a mission and take every look as far as measurements decide.
 
     Raises BadInputError or UsageError for a recorded line, as augment does.
     """
     with flight_of(task) as flight:
         usual = task.times == 1 and task.source != DRAWN and not Path(task.source).is_dir()
-        examples = examples_along(flight.config, flight.events, flight.objects, usual=usual)
+        examples = examples_along(flight.config, flight.events, flight.objects, usual=usual, detector=task.detector)
         truth = flight.truth()
     n_targets = sum(len(one["looks"]) for one in truth["objects"] if one["is_target"])
     return MissionLooks(task, flight.law, n_targets, float(truth["area_km2"]), look_table(examples))

@@ -220,8 +220,8 @@ def recalibrated(odds: MineOdds, found: Refit, made_by: str) -> MineOdds:
         made_by=f"{odds.made_by}; {made_by}" if odds.made_by else made_by,
         prior=offset_nats + slope * odds.prior,
         detector=changed(odds.detector),
-        contours=changed(odds.contours),
-        shape=changed(odds.shape),
+        contours=None if odds.contours is None else changed(odds.contours),
+        shape=None if odds.shape is None else changed(odds.shape),
         verifier=None if odds.verifier is None else odds.verifier.recalibrated(slope, offset_nats),
         recalibrated=Recalibration(
             detector=missions[0].detector,

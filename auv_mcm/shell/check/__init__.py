@@ -261,12 +261,8 @@ def _odds() -> Iterator[Finding]:
     for detector in get_args(Detector):
         odds = shipped_odds(detector)
         words = f"{detector}: {odds.fitted_on}"
-        if odds.left_out:
-            row = odds.left_out[-1]
-            found = ", ".join(
-                f"{at.pd:.2f} ({at.low:.2f}-{at.high:.2f}) at {at.false_alarms_per_km2:g} FA/km²" for at in row.found
-            )
-            words += f". {row.domain} left out: Pd {found}, calibration error {row.calibration_error}. {odds.made_by}"
+        if odds.verifier is not None:
+            words += f". {odds.made_by}. Verifier: {odds.verifier.trained_on}"
         yield Finding("odds of confirmation", "ok", words)
 
 

@@ -185,11 +185,10 @@ def _shadow_height(watch: Watch, _: bool) -> Found:
 
 
 def _mine_odds(watch: Watch, _: bool) -> Found:
-    """Compare log-odds of the shipped trees with sums of fractions, in nats."""
-    odds = shipped_odds("cascade")
+    """Compare log-odds of the shipped weights with sums of fractions, in nats."""
     worst = 0.0
     for seed in range(3):
-        for weights in (odds.detector, odds.contours, odds.shape):
+        for weights in (shipped_odds("cascade").detector, shipped_odds("contrast").detector):
             names = sorted(set(weights.weights) | {name for tree in weights.trees for name, *_ in tree.ask})
             features = dict(zip(names, (10.0 ** random_of(seed).uniform(-30.0, 2.0, len(names))).tolist(), strict=True))
             total = Fraction(weights.offset)

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from auv_mcm.classify import odds as odds_module
 from auv_mcm.classify.beliefs import EVERYTHING, MINES, conjunctive, subset, vacuous
-from auv_mcm.classify.details import contour_details, detection_details, solid_details
+from auv_mcm.classify.details import detection_details
 from auv_mcm.classify.features import contour_features, detector_features, outline_features, shape_features, with_shape
 from auv_mcm.classify.odds import (
     MineOdds,
@@ -30,7 +30,7 @@ from auv_mcm.classify.odds import (
     with_ratio,
 )
 from auv_mcm.errors import BadInputError
-from auv_mcm.records import NAN, Detector
+from auv_mcm.records import NAN, Detector, MeasuredStep
 from tests.auv_mcm.classify.drawn_looks import bare_floor, detection, no_contours, no_fits
 
 CLUTTER = subset("clutter")
@@ -263,6 +263,16 @@ def test_files_that_are_no_weights_are_refused_by_name(data: bytes) -> None:
         parse_odds(data, "/data/mine_odds.json")
 
 
+@pytest.mark.parametrize("changes", [{"contours": None}, {"shape": {**STEP, "trees": [{"ask": [], "nats": [1.0]}]}}])
+def test_without_a_verifier_every_step_is_a_sum(changes: dict[str, Any]) -> None:
+    with pytest.raises(BadInputError, match=r"without a verifier .* sums of weights\. Write .*auv-mcm calibrate odds"):
+        parse_odds(data_of(**changes), "old.json")
+    odds = msgspec.structs.replace(parse_odds(data_of(), "f"), verifier=shipped_odds("cascade").verifier, shape=None)
+    assert parse_odds(msgspec.json.encode(odds), "new.json") == odds
+    with pytest.raises(ValueError, match="decided by the verifier"):
+        odds.log_ratio("shape", {})
+
+
 def test_what_is_wrong_inside_a_file_is_reported_with_its_place() -> None:
     with pytest.raises(BadInputError, match=r"Expected `float`, got `str` - at `\$\.shape\.offset`"):
         parse_odds(data_of(shape={"offset": "1", "weights": {}}), "f.json")
@@ -291,16 +301,14 @@ def test_the_shipped_weights_are_for_the_features_there_are(detector: Detector) 
     first = detector_features(seen)
     second = first | contour_features(no_contours()) | outline_features(no_contours(), region)
     last = with_shape(second, shape_features(no_fits(), labels))
-    before = detection_details(seen)
-    after = before | contour_details(no_contours(), region) | solid_details(no_fits(), labels, region)
-    assert len(last | after) == len(last) + len(after), "names are unique"
-    for step, features, details in (
-        (odds.detector, first, before),
-        (odds.contours, second, before),
-        (odds.shape, last, after),
-    ):
+    details = detection_details(seen)
+    assert len(first | details) == len(first) + len(details), "names are unique"
+    assert (odds.verifier is None) == (detector == "contrast")
+    for step, features in ((odds.detector, first), (odds.contours, second), (odds.shape, last)):
+        if step is None:
+            assert odds.verifier is not None
+            continue
         assert step.trees or step.weights.keys() == features.keys()
-        assert step.weights.keys() <= features.keys()
         assert {name for tree in step.trees for name, *_ in tree.ask} <= (features | details).keys()
     assert odds.prior < math.log(0.5), "most detections are no mines"
 
@@ -310,8 +318,13 @@ def test_the_shipped_weights_are_for_the_features_there_are(detector: Detector) 
 def test_the_shipped_weights_give_probabilities_for_any_features(detector: Detector, seed: int) -> None:
     random = np.random.Generator(np.random.PCG64(seed))
     odds = shipped_odds(detector)
-    for step in (odds.detector, odds.contours, odds.shape):
-        assert all(map(math.isfinite, (step.offset, *step.weights.values())))
-    requested = {name for tree in odds.shape.trees for name, *_ in tree.ask}
-    features = {name: float(random.normal(0.0, 10.0)) for name in sorted(odds.shape.weights.keys() | requested)}
-    assert 0.0 < odds.p_mine(odds.log_ratio("shape", features)) < 1.0
+    steps: dict[MeasuredStep, Weights | None] = {
+        "detector": odds.detector,
+        "contours": odds.contours,
+        "shape": odds.shape,
+    }
+    for name, step in steps.items():
+        if step is not None:
+            requested = {name for tree in step.trees for name, *_ in tree.ask}
+            features = {name: float(random.normal(0.0, 10.0)) for name in sorted(step.weights.keys() | requested)}
+            assert 0.0 < odds.p_mine(odds.log_ratio(name, features)) < 1.0

@@ -30,10 +30,7 @@ from sim_replay.fitting.recorders import RECORDERS
 LOG_RECORDER = "log 0.3 dB"
 LINE = "somewhere/reef.xtf"
 N_LOOKS = 60
-MEASURED = {
-    step: tuple(dict.fromkeys((*weights.weights, *(name for tree in weights.trees for name, *_ in tree.ask))))
-    for step, weights in ((step, getattr(shipped_odds("cascade"), step)) for step in STEPS)
-}
+NAMES = tuple(dict.fromkeys(name for tree in shipped_odds("cascade").detector.trees for name, *_ in tree.ask))
 
 
 def drawn_mission(task: LookTask, law: str = "amplitude_uint16", number: int = 0) -> MissionLooks:
@@ -42,9 +39,9 @@ def drawn_mission(task: LookTask, law: str = "amplitude_uint16", number: int = 0
     is_target = np.arange(N_LOOKS) % 4 == 0
     steps = {}
     for step in STEPS:
-        values = random.normal(0.0, 1.0, (N_LOOKS, len(MEASURED[step])))
-        values[:, MEASURED[step].index("cascade_score")] += 6.0 * is_target
-        steps[step] = StepTable(MEASURED[step], len(MEASURED[step]), values)
+        values = random.normal(0.0, 1.0, (N_LOOKS, len(NAMES)))
+        values[:, NAMES.index("cascade_score")] += 6.0 * is_target
+        steps[step] = StepTable(NAMES, len(NAMES), values)
     usual = np.full(N_LOOKS, task.times == 1 and task.source != DRAWN)
     table = LookTable(usual, is_target, is_target, np.where(is_target, 1.0, 2.0), steps)
     return MissionLooks(task, law, int(is_target.sum()), 0.05, table)

@@ -6,19 +6,19 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
+import msgspec
 import numpy as np
 import pytest
 
 from auv_mcm.classify.details import detection_details
-from auv_mcm.classify.odds import MineOdds, parse_odds, shipped_odds
+from auv_mcm.classify.odds import MineOdds, Weights, parse_odds, shipped_odds
 from auv_mcm.errors import UsageError
 from auv_mcm.geometry.geodesy import LocalFrame
-from auv_mcm.records import Detection, NavSample, Surroundings
+from auv_mcm.records import Detection, Detector, NavSample, Surroundings
 from auv_mcm.settings.config import Config
 from sim_replay.fitting import fit_odds as calibrate
 from sim_replay.fitting.fit_odds import (
     CROWD,
-    N_TREES,
     Example,
     StepTable,
     crowded,
@@ -39,12 +39,17 @@ MINES_AND_ROCKS = {"cylinder", "sphere", "truncated_cone", "wedge", "box", "rock
 
 def example(features: dict[str, float], is_target: bool, weight: float = 1.0, usual: bool = True) -> Example:
     """All steps measured the same."""
-    return Example(usual, is_target, weight, features, features, features, {step: {} for step in N_TREES})
+    return Example(usual, is_target, weight, features, features, features, {})
 
 
 def fit(examples: Sequence[Example], fitted_on: str) -> MineOdds:
     """Sums alone, of which it is known what they must be."""
-    return fit_table(look_table(examples), fitted_on, dict.fromkeys(N_TREES, 0))
+    return fit_table(look_table(examples), fitted_on)
+
+
+def shape_of(odds: MineOdds) -> Weights:
+    assert odds.shape is not None
+    return odds.shape
 
 
 def drawn(n: int, seed: int, weights: Sequence[float] = (1.0,)) -> list[Example]:
@@ -88,6 +93,7 @@ def test_weights_are_those_of_newtons_method_on_every_repetition(seed: int, weig
     offset, slopes = newton(examples)
     odds = fit(examples, "drawn")
     for step in (odds.detector, odds.contours, odds.shape):
+        assert step is not None
         assert step.offset == pytest.approx(offset, abs=1e-4)
         assert {name: step.weights[name] for name in WEIGHTS} == pytest.approx(slopes, abs=1e-4)
 
@@ -99,7 +105,7 @@ def test_a_known_logistic_model_is_recovered() -> None:
     columns = np.column_stack([values, np.ones(len(values))])
     p = 1.0 / (1.0 + np.exp(-(OFFSET + values @ list(WEIGHTS.values()))))
     sigma = np.sqrt(np.diag(np.linalg.inv((columns.T * (p * (1.0 - p))) @ columns)))
-    found = fit(examples, "drawn").shape
+    found = shape_of(fit(examples, "drawn"))
     for name, truth, error in zip((*WEIGHTS, "offset"), (*WEIGHTS.values(), OFFSET), sigma.tolist(), strict=True):
         value = found.offset if name == "offset" else found.weights[name]
         assert abs(value - truth) < 4.0 * error, name
@@ -110,15 +116,15 @@ def test_examples_count_as_often_as_they_stand_for() -> None:
     repeated = [item._replace(weight=1.0) for item in examples for _ in range(int(item.weight))]
     weighted, plain = fit(examples, "once"), fit(repeated, "once")
     assert weighted.prior == plain.prior
-    assert weighted.shape.offset == pytest.approx(plain.shape.offset, abs=1e-4)
-    assert weighted.shape.weights == pytest.approx(plain.shape.weights, abs=1e-4)
+    assert shape_of(weighted).offset == pytest.approx(shape_of(plain).offset, abs=1e-4)
+    assert shape_of(weighted).weights == pytest.approx(shape_of(plain).weights, abs=1e-4)
 
 
 @pytest.mark.parametrize("value", [0.0, 0.1, 1e-9, -1234.567])
 def test_a_feature_that_never_varies_weighs_nothing(value: float) -> None:
     examples = drawn(300, 4, (1.0, 4.0))
     with_constant = [item._replace(shape={**item.shape, "constant": value}) for item in examples]
-    found, plain = fit(with_constant, "drawn").shape, fit(examples, "drawn").shape
+    found, plain = shape_of(fit(with_constant, "drawn")), shape_of(fit(examples, "drawn"))
     assert found.weights["constant"] == 0.0
     assert found.offset == pytest.approx(plain.offset, abs=1e-4)
     assert {name: found.weights[name] for name in plain.weights} == pytest.approx(plain.weights, abs=1e-4)
@@ -127,7 +133,7 @@ def test_a_feature_that_never_varies_weighs_nothing(value: float) -> None:
 def test_units_of_a_feature_change_its_weight_and_nothing_else() -> None:
     examples = drawn(300, 5)
     in_cm = [item._replace(shape={**item.shape, "b": 100.0 * item.shape["b"] + 7.0}) for item in examples]
-    found, plain = fit(in_cm, "drawn").shape, fit(examples, "drawn").shape
+    found, plain = shape_of(fit(in_cm, "drawn")), shape_of(fit(examples, "drawn"))
     assert 100.0 * found.weights["b"] == pytest.approx(plain.weights["b"], abs=1e-3)
     assert found.weights["a"] == pytest.approx(plain.weights["a"], abs=1e-4)
 
@@ -135,9 +141,9 @@ def test_units_of_a_feature_change_its_weight_and_nothing_else() -> None:
 def test_redundant_features_share_their_weight() -> None:
     examples = drawn(300, 6)
     twice = [item._replace(shape={**item.shape, "again": item.shape["a"]}) for item in examples]
-    found = fit(twice, "drawn").shape.weights
+    found = shape_of(fit(twice, "drawn")).weights
     assert found["again"] == pytest.approx(found["a"], abs=1e-4)
-    assert found["a"] + found["again"] == pytest.approx(fit(examples, "drawn").shape.weights["a"], rel=0.1)
+    assert found["a"] + found["again"] == pytest.approx(shape_of(fit(examples, "drawn")).weights["a"], rel=0.1)
 
 
 def test_the_prior_is_the_log_odds_of_targets_among_what_the_examples_stand_for() -> None:
@@ -161,14 +167,14 @@ def test_crowded_examples_teach_the_features_of_mines_but_not_their_rarity() -> 
     kept = [item for number, item in enumerate(crowd) if item.is_target or number % 10 == 0]
     alone, odds = fit(usual, "usual"), fit([*usual, *kept], "both")
     assert odds.prior == alone.prior
-    assert odds.shape.weights["a"] == pytest.approx(alone.shape.weights["a"], abs=0.2)
+    assert shape_of(odds).weights["a"] == pytest.approx(shape_of(alone).weights["a"], abs=0.2)
     expected = sum(odds.p_mine(odds.log_ratio("shape", item.shape)) for item in usual)
     assert expected == pytest.approx(sum(item.is_target for item in usual), rel=1e-3)
 
 
 def test_separable_examples_give_finite_weights() -> None:
     examples = [example({"a": float(number), "b": 0.0, "c": 0.0}, number >= 10) for number in range(20)]
-    weight = fit(examples, "separable").shape.weights["a"]
+    weight = shape_of(fit(examples, "separable")).weights["a"]
     assert 0.0 < weight < 5.0
 
 
@@ -182,20 +188,19 @@ def test_trees_weigh_what_a_sum_misses_and_details_as_well() -> None:
     values = random.normal(0.0, 1.0, (1500, 2))
     is_target = (np.abs(values[:, 0]) < 0.7) & (values[:, 1] > 0.0)
     examples = [
-        example({"a": a}, bool(target))._replace(details={step: {"d": d} for step in N_TREES})
+        example({"a": a}, bool(target))._replace(details={"d": d})
         for (a, d), target in zip(values.tolist(), is_target.tolist(), strict=True)
     ]
-    odds = fit_table(look_table(examples), "a bump", {"detector": 0, "contours": 5, "shape": 80})
-    assert [len(step.trees) for step in (odds.detector, odds.contours, odds.shape)] == [0, 5, 80]
-    right = [
-        (odds.shape.log_odds(item.shape | item.details["shape"]) > odds.prior) == item.is_target for item in examples
-    ]
+    odds = fit_table(look_table(examples), "a bump", 80)
+    assert (len(odds.detector.trees), odds.contours, odds.shape) == (80, None, None)
+    right = [(odds.detector.log_odds(item.detector | item.details) > odds.prior) == item.is_target for item in examples]
     assert np.mean(right) > 0.95
-    assert parse_odds(calibrate.written(odds), "written.json") == odds
+    whole = msgspec.structs.replace(odds, verifier=shipped_odds("cascade").verifier)
+    assert parse_odds(calibrate.written(whole), "written.json") == whole
 
 
 def test_log_odds_of_many_are_those_of_each() -> None:
-    weights = shipped_odds("cascade").shape
+    weights = shipped_odds("cascade").detector
     random = np.random.Generator(np.random.PCG64(5))
     names = sorted({*weights.weights, *(name for tree in weights.trees for name, *_ in tree.ask)})
     table = StepTable(tuple(names), 0, random.normal(0.0, 3.0, (50, len(names))))
@@ -240,7 +245,7 @@ def seen_at(east_m: float, p_mine: float = 0.5, **values: Any) -> Detection:
     return drawn_looks.detection(**{**known, **values})
 
 
-Fly = Callable[[Iterable[Detection], Iterable[Truth]], list[Example]]
+Fly = Callable[..., list[Example]]
 
 
 @pytest.fixture
@@ -248,7 +253,9 @@ def fly(monkeypatch: pytest.MonkeyPatch) -> Fly:
     """Examples of a mission over the given objects, in which the detections given become final; every look measures the
     same."""
 
-    def flown(detections: Iterable[Detection], scene_objects: Iterable[Truth]) -> list[Example]:
+    def flown(
+        detections: Iterable[Detection], scene_objects: Iterable[Truth], detector: Detector = "contrast"
+    ) -> list[Example]:
         objects = []
         for scene_object in scene_objects:
             latitude, longitude, _ = HOME.to_geodetic(np.array([scene_object.east_m, 0.0, 0.0]))
@@ -271,16 +278,14 @@ def fly(monkeypatch: pytest.MonkeyPatch) -> Fly:
         class Looked(NamedTuple):
             contour_features: dict[str, float]
             features: dict[str, float]
-            details: dict[str, float]
 
+        odds = shipped_odds("contrast")
         measured = Looked(
-            dict.fromkeys(shipped_odds("contrast").contours.weights, 0.5),
-            dict.fromkeys(shipped_odds("contrast").shape.weights, 0.5),
-            {"solid_nats": -10.0},
+            *(dict.fromkeys(step.weights, 0.5) for step in (odds.contours, odds.shape) if step is not None)
         )
         monkeypatch.setattr(calibrate, "Pipeline", FakePipeline)
         monkeypatch.setattr(calibrate, "examine", lambda *_: measured)
-        return examples_along(Config(), [NavSample(time_s=0.0)], lambda: objects, usual=True)
+        return examples_along(Config(), [NavSample(time_s=0.0)], lambda: objects, usual=True, detector=detector)
 
     return flown
 
@@ -345,12 +350,11 @@ def test_every_step_has_its_features(fly: Fly) -> None:
     (found,) = fly([seen_at(0.0)], [])
     odds = shipped_odds("contrast")
     assert (found.detector.keys(), found.contours.keys(), found.shape.keys()) == (
-        odds.detector.weights.keys(),
-        odds.contours.weights.keys(),
-        odds.shape.weights.keys(),
+        *(step.weights.keys() for step in (odds.detector, odds.contours, odds.shape) if step is not None),
     )
-    assert found.details["shape"] == {"solid_nats": -10.0}
-    assert found.details["detector"] == found.details["contours"] == detection_details(seen_at(0.0))
+    assert found.details == detection_details(seen_at(0.0))
+    (before_verifier,) = fly([seen_at(0.0)], [], "cascade")
+    assert before_verifier == found._replace(contours={}, shape={})
 
 
 def test_a_mission_that_finds_nothing_has_no_examples(fly: Fly) -> None:
