@@ -29,7 +29,7 @@ from auv_mcm.detect.cascade.run import CascadeResult, core_plane, run_plane
 from auv_mcm.detect.detect_tile import TileDetections, detect_tile
 from auv_mcm.records import LOW_RESOLUTION, SATURATED, TURN, VALID, Tile
 from auv_mcm.settings.config import Config, DetectConfig
-from sim_replay.benches.stability.drawn_inputs import drawn_model
+from sim_replay.benches.stability.rows import random_of
 from tests.stability.tile_pictures import COLUMN_M, PICTURES, ROW_M, SHAPE, holes, speckle, tile_of, with_object
 
 Codes = NDArray[np.uint16]
@@ -62,6 +62,23 @@ def model_of(*groups: tuple[Stump, ...], reject: int = 0) -> CascadeModel:
     )
     check_model(model, "made here")
     return model
+
+
+def drawn_model(seed: int) -> CascadeModel:
+    """Twelve comparisons of boxes at least 0.5 m long and wide that drop nothing."""
+    random = random_of(seed)
+
+    def box() -> FeatureBox:
+        top, near = random.uniform(-1.0, 0.4, 2)
+        length, width = random.uniform(0.5, 1.0 - top), random.uniform(0.5, 1.0 - near)
+        return FeatureBox(*map(float, (top, top + length, near, 0.0, near + width, random.uniform(0.0, 1.0))))
+
+    stumps = []
+    for k in range(12):
+        threshold, leaf = float(3.0 ** random.uniform(-1.0, 1.0)), int(random.integers(-900, 900))
+        ask = (ratio, threshold) if k % 2 else (contrast, threshold - 1.0 / threshold)
+        stumps.append(ask[0](box(), box(), ask[1], leaf))
+    return model_of(tuple(stumps), reject=ANY_SCORE)
 
 
 MODEL = model_of((ratio(HIGHLIGHT, BEFORE, 3.0),), (contrast(BEFORE, SHADOW, 0.5),), (ratio(HIGHLIGHT, SHADOW, 10.0),))
@@ -198,7 +215,9 @@ def test_gain_of_a_power_of_two_changes_no_score(seed: int, power: int) -> None:
     usable[5:-5, 4:70] = True  # away from the margins, which stay as they are
     loud, quiet = (
         run_plane(
-            make_plane(one.astype(np.uint16), everywhere, usable, np.full(16, 5.0), 0.3, 0.35), drawn_model(seed), None
+            make_plane(one.astype(np.uint16), everywhere, usable, np.full(16, 5.0), 0.3, 0.35),
+            drawn_model(seed),
+            None,
         )
         for one in (codes * 2.0**power, codes)
     )

@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 import itertools
-import json
 import math
-import os
-import subprocess
-import sys
 from concurrent.futures import ThreadPoolExecutor
 from fractions import Fraction
 from functools import partial
@@ -15,12 +11,10 @@ from types import SimpleNamespace
 from typing import Any, Final
 
 import mpmath
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.classify.beliefs import EVERYTHING, N_SUBSETS, dempster, yager
-from auv_mcm.classify.fit import Effort, fit_shapes
 from auv_mcm.classify.likelihood import image_row_sums, labels_cost
 from auv_mcm.classify.odds import share_of_ratio, shipped_odds
 from auv_mcm.clearance.clearance_map import clearance_over, unsearched
@@ -85,53 +79,6 @@ _HYPOTHESES: Final[dict[Solid, tuple[float, ...]]] = {
     "truncated_cone": (1.8, 17.4, 1.0, 0.49, 0.25, 0.47, 0.0, 0.0),
     "wedge": (1.8, 17.4, 1.0, 1.0, 0.7, 0.4, 0.3, 0.0),
 }
-
-
-def _solid_costs(kind: str, watch: Watch, quick: bool) -> Found:
-    """Compare costs of C with those of numpy, in nats per pixel."""
-    region = {
-        "one look": region_of(),
-        "constant": msgspec.structs.replace(region_of(), intensity=np.ones((30, 60))),
-    }.get(kind, region_of(1e30 if kind == "gain 1e30" else 1e-30))
-    image = image_row_sums(region, 1.5)
-    assert image is not None
-    beam = shape.Beam(np.array([-0.004, 0.0, 0.004]), np.array([0.2, 0.6, 0.2]))
-    worst = 0.0
-    for solid, fields in _HYPOTHESES.items():
-        drawn = np.array(fields) * random_of(5).uniform(0.8, 1.25, (20 if quick else 400, 8))
-        if kind == "near-zero heights":
-            drawn[:, 5] *= 1e-9
-        one, other = (
-            watch(shape.shape_costs, solid, drawn, image, beam),
-            shape.shape_costs_numpy(solid, drawn, image, beam),
-        )
-        worst = max(worst, float(np.abs(one.cost - other.cost).max()) / region.intensity.size)
-    return Found(worst)
-
-
-_QUICK: Final = Effort(48, 3, 3, 4, 1, 3, 4)  # a hundredth of the default's hypotheses: numpy takes long
-
-
-def _solid_fits(watch: Watch, quick: bool) -> Found:
-    """Compare sizes and places of fits on either kernel, in metres; another class counts as infinite."""
-    effort = _QUICK if quick else Effort()
-    seeds = (1,) if quick else (1, 2, 3, 4)
-    command = [sys.executable, "-m", __name__, str(int(quick)), *map(str, seeds)]
-    environment = {**os.environ, "AUV_MCM_KERNELS": "numpy"}
-    done = subprocess.run(command, env=environment, capture_output=True, check=True)
-    worst = 0.0
-    for seed, other in zip(seeds, json.loads(done.stdout), strict=True):
-        one = watch(_fitted, seed, effort)
-        worst = max(worst, math.inf if one[0] != other[0] else float(np.abs(np.subtract(one[1], other[1])).max()))
-    return Found(worst)
-
-
-def _fitted(seed: int, effort: Effort) -> tuple[str, list[float]]:
-    """Fit solids to a region; returns the best class, and its sizes and place in metres."""
-    region = region_of(seed=seed)
-    best = fit_shapes(region, None, 1.5, effort=effort).fits[0]
-    sizes = [value for name, value in msgspec.structs.asdict(best.best.shape).items() if name.endswith("_m")]
-    return best.solid, [*sizes, best.best.ground_range_m, best.best.row * region.row_spacing_m]
 
 
 def _on_threads(watch: Watch, quick: bool) -> Found:
@@ -440,12 +387,9 @@ def back_rows() -> list[NumberRow]:
 
 
 def _classification_rows() -> list[NumberRow]:
-    ratio, mp, twin, gains = "fractions", "mpmath", "numpy twin", (1e-30, 1.0, 1e30)
-    kinds = ("one look", "constant", "gain 1e-30", "gain 1e30", "near-zero heights")
+    ratio, mp, gains = "fractions", "mpmath", (1e-30, 1.0, 1e30)
     return [
         *each("labels' likelihood", "gain {:g}", mp, "relative", 1e-12, _explained, gains),
-        *each("solids' likelihood", "{}", twin, "nats per pixel", 1e-12, _solid_costs, kinds),
-        NumberRow("solids' fit", "C and numpy", twin, "m", 1e-3, _solid_fits),
         NumberRow("threads", "field, speckle and solids, four at once", "alone", "numbers unlike", 0.0, _on_threads),
         NumberRow("solids' shadows", "heights 1e-12 to 0.5 m", ratio, "relative", 1e-15, _shadow_of_nothing),
         NumberRow(
@@ -474,15 +418,3 @@ def _place_rows() -> list[NumberRow]:
         NumberRow("clearance", "0 to 2000 mines left", mp, "relative", 1e-12, _remaining),
         NumberRow("clearance", "miss exponents 1e-300 to 1000", mp, "relative", 1e-15, _detected),
     ]
-
-
-def main() -> int:
-    """Print fits of seeds on the kernels of this process as JSON."""
-    quick, *seeds = (int(text) for text in sys.argv[1:])
-    effort = _QUICK if quick else Effort()
-    print(json.dumps([_fitted(seed, effort) for seed in seeds]))
-    return 0
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -6,7 +6,7 @@ import itertools
 import math
 from fractions import Fraction
 from functools import partial
-from typing import Any, Final
+from typing import Final
 
 import mpmath
 import numpy as np
@@ -22,7 +22,7 @@ from auv_mcm.confirm.likelihoods import (
 )
 from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region
 from auv_mcm.confirm.snake import COARSE, snake_settings
-from auv_mcm.kernels import mean_field, pair_costs, snake, snake_twin, soft_edges, speckle, trws
+from auv_mcm.kernels import mean_field, snake, speckle, trws
 from sim_replay.benches.stability.rows import (
     Found,
     NumberRow,
@@ -137,26 +137,7 @@ def _softmin(scale: float, watch: Watch, quick: bool) -> Found:
     return Found(absolute(found.reshape(3, -1).T.ravel().tolist(), [p for cell in wanted for p in cell]))
 
 
-def _field_twins(watch: Watch, _: bool) -> Found:
-    """Compare labels, energies and probabilities of C with those of numpy; what differs by labels counts whole."""
-    worst = 0.0
-    for seed, scale in enumerate((1e-30, 1.0, 1e6, 1e30)):
-        random = random_of(seed)
-        unary, weight = random.exponential(size=(9, 11, 3)) * scale, random.exponential(size=4) * 0.4 * scale
-        one, other = watch(trws.trws, unary, weight, 12), trws.trws_numpy(unary, weight, 12)
-        worst = max(worst, unlike(one.labels, other.labels), unlike(np.array(one[1:3]), np.array(other[1:3])))
-        labels = random.integers(0, 3, (9, 11)).astype(np.uint8)
-        worst = max(
-            worst, unlike(watch(trws.icm, unary, weight, labels, 9)[0], trws.icm_numpy(unary, weight, labels, 9)[0])
-        )
-        cost = np.ascontiguousarray(np.moveaxis(unary, 2, 0))
-        start = mean_field.softmin(cost)
-        found = watch(mean_field.sweep, cost, weight, 5, start)
-        worst = max(worst, float(np.abs(found - mean_field.sweep_numpy(cost, weight, 5, start)).max()))
-    return Found(worst)
-
-
-def _speckle_twins(watch: Watch, _: bool) -> Found:
+def _speckle(watch: Watch, _: bool) -> Found:
     """Compare half mean squared differences with sums of fractions; C and numpy are held to the same."""
     worst = 0.0
     for gain, offset in ((1e-30, 0.0), (1.0, 0.0), (1.0, 1e4), (1e30, 0.0)):
@@ -206,7 +187,7 @@ def _box(top: float, near: float, foot: float, far: float) -> Values:
 
 
 def _contours(gain: float, watch: Watch, _: bool) -> Found:
-    """Count nodes that differ from those of the Python twin, and from those at gain 1."""
+    """Count nodes that differ from those at gain 1."""
     ends = []
     for factor in (gain, 1.0):
         region = region_of(factor)
@@ -215,8 +196,6 @@ def _contours(gain: float, watch: Watch, _: bool) -> Found:
         start = (_box(11, 17, 19, 24), _box(11, 24, 19, 42))
         schedule = np.array(COARSE)
         ends.append(watch(snake.move_pair, table, known, schedule, *start))
-        twin = snake_twin.move_pair(table, known, schedule, *start)
-        ends.append(twin)
     first = ends[0]
     return Found(sum(unlike(first.highlight, end.highlight) + unlike(first.shadow, end.shadow) for end in ends[1:]))
 
@@ -231,37 +210,9 @@ def _window_sums(kind: str, watch: Watch, _: bool) -> Found:
     return Found(relative(sums.table[:, -1, 0].tolist(), wanted))
 
 
-def _soft_twins(watch: Watch, _: bool) -> Found:
-    """Count labels and costs that differ between C and numpy."""
-    n_unlike = 0.0
-    for seed, gain in enumerate((1e-30, 1.0, 1e30)):
-        region, labels = region_of(gain, seed), labels_of()
-        level = np.array([1.0, 0.05, 8.0]) * gain
-        spread = soft_edges.point_spread(0.8)
-        arguments: dict[str, Any] = {
-            "level": level,
-            "spread_rows": spread,
-            "spread_columns": spread,
-            "weight": np.array([0.5, 0.3, 0.5, 0.3]),
-            "information": 0.7,
-            "n_sweeps": 3,
-        }
-        n_unlike += unlike(
-            watch(soft_edges.soft_edges, region.intensity, region.valid, labels, **arguments),
-            soft_edges.soft_edges_numpy(region.intensity, region.valid, labels, **arguments),
-        )
-        reach = np.full(60, 12, dtype=np.int64)
-        lack = pair_costs.Lack(4.0, 0.1)
-        n_unlike += unlike(
-            watch(pair_costs.pair_costs, labels, reach, 3, lack, lack),
-            pair_costs.pair_costs_numpy(labels, reach, 3, lack, lack),
-        )
-    return Found(n_unlike)
-
-
 def confirmation_rows() -> list[NumberRow]:
     """List the rows of confirmation."""
-    ratio, mp, twin, gains = "fractions", "mpmath", "numpy twin", (1e-30, 1.0, 1e30)
+    ratio, mp, gains = "fractions", "mpmath", (1e-30, 1.0, 1e30)
     law = "field's law"
     return [
         NumberRow(law, "ln K, orders 0 to 50, x 3e-4 to 3e5", mp, "of the value or 1", 1e-12, _bessel),
@@ -272,11 +223,7 @@ def confirmation_rows() -> list[NumberRow]:
         *each(law, "no texture, gain {:g}", mp, "of the cost or 1", 1e-12, partial(_law_cost, math.inf), gains),
         *each("Markov field", "costs times {:g}", ratio, "relative", 1e-14, _field, gains),
         *each("mean field", "costs times {:g}", mp, "absolute", 1e-14, _softmin, gains),
-        NumberRow("field kernels", "costs times 1e-30 to 1e30", twin, "absolute", 1e-12, _field_twins),
-        NumberRow("speckle", "gain 1e-30 to 1e30, offset 1e4", ratio, "relative", 1e-10, _speckle_twins),
+        NumberRow("speckle", "gain 1e-30 to 1e30, offset 1e4", ratio, "relative", 1e-10, _speckle),
         *each("contours' sums", "{}", ratio, "relative", 1e-5, _window_sums, ("gain 1e-30", "gain 1e30", "offset 1e6")),
-        *each(
-            "contours", "gain {:g}", "numpy twin and gain 1", "numbers unlike", 0.0, _contours, (2.0**-100, 2.0**100)
-        ),
-        NumberRow("edges and pairs", "gain 1e-30 to 1e30", twin, "labels unlike", 0.0, _soft_twins),
+        *each("contours", "gain {:g}", "gain 1", "numbers unlike", 0.0, _contours, (2.0**-100, 2.0**100)),
     ]

@@ -9,8 +9,6 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.detect.cascade.bands import WINDOW, FeatureBox
-from auv_mcm.detect.cascade.model import MAX_LEAF, MAX_STUMPS, SCORE_UNIT, Calibration, CascadeModel, Stump, check_model
 from sim_replay.benches.stability.rows import random_of
 
 Plane = NDArray[np.float32]
@@ -76,42 +74,3 @@ def box_count(shape: tuple[int, int], place: tuple[int, int], half: tuple[int, i
     return math.prod(
         min(at + reach, n - 1) - max(at - reach, 0) + 1 for at, reach, n in zip(place, half, shape, strict=True)
     )
-
-
-def drawn_model(seed: int, largest: float = 3.0, n_stumps: int = 12) -> CascadeModel:
-    """Draw comparisons of boxes at least 0.5 m long and wide, thresholds from 1 / largest to largest.
-
-    They drop nothing.
-    """
-    random = random_of(seed)
-
-    def box() -> FeatureBox:
-        top, near = random.uniform(-1.0, 0.4, 2)
-        length, width = random.uniform(0.5, 1.0 - top), random.uniform(0.5, 1.0 - near)
-        return FeatureBox(
-            float(top), float(top + length), float(near), 0.0, float(near + width), float(random.uniform(0.0, 1.0))
-        )
-
-    stumps = []
-    for k in range(n_stumps):
-        threshold = float(largest ** random.uniform(-1.0, 1.0))
-        leaf = int(random.integers(-900, 900))
-        if k % 2:
-            stumps.append(Stump(kind="ratio", a=box(), b=box(), threshold=threshold, below=-leaf, above=leaf))
-        else:
-            against = threshold - 1.0 / threshold
-            stumps.append(
-                Stump(kind="contrast", a=box(), b=box(), w=WINDOW, threshold=against, below=-leaf, above=leaf)
-            )
-    model = CascadeModel(
-        kind="soft",
-        trained_on="nothing",
-        training_sha256="",
-        row_spacing_m=(0.001, 10.0),
-        column_spacing_m=(0.001, 10.0),
-        calibration=Calibration(score=(-3 * SCORE_UNIT, 3 * SCORE_UNIT), log_odds=(-6.0, 6.0)),
-        reject=(-MAX_STUMPS * MAX_LEAF,),
-        groups=(tuple(stumps),),
-    )
-    check_model(model, "made here")
-    return model

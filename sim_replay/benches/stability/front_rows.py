@@ -10,11 +10,8 @@ from functools import partial
 import mpmath
 import numpy as np
 
-from auv_mcm.detect.cascade.bands import band_edges
-from auv_mcm.detect.cascade.codes import make_plane
-from auv_mcm.detect.cascade.run import tables_of
 from auv_mcm.detect.ftest import equivalent_looks, f_deviate
-from auv_mcm.kernels import cascade, contrast, viterbi, waterfall_boxes, waterfall_rows, waterfall_steps, waterfall_sums
+from auv_mcm.kernels import cascade, contrast, viterbi, waterfall_boxes, waterfall_rows, waterfall_steps
 from auv_mcm.kernels.contrast import Frame, TileSums
 from auv_mcm.records import VALID, Transfer
 from auv_mcm.waterfall.ground import ground_edges_m, make_traces, mean_between
@@ -28,7 +25,6 @@ from sim_replay.benches.stability.drawn_inputs import (
     box_count,
     box_of,
     box_sum,
-    drawn_model,
     places_in,
     speckle,
     with_shadow,
@@ -194,37 +190,6 @@ def _viterbi(scale: float, watch: Watch, quick: bool) -> Found:
     return Found(relative([float(worth)], [max(best)]))
 
 
-def _waterfall_twins(watch: Watch, _: bool) -> Found:
-    """Count the numbers that differ between C and numpy over all kinds of intensity."""
-    n_unlike = 0.0
-    random = random_of(11)
-    for make in INTENSITIES.values():
-        plane = np.ascontiguousarray(make((24, 90)))
-        usable = random.random(plane.shape) < 0.9
-        level = np.where(usable, plane, np.float32(0.0))
-        sums = watch(waterfall_sums.sums_to_the_end, plane)
-        n_unlike += unlike(sums, waterfall_sums.sums_to_the_end_numpy(plane))
-        sampled = waterfall_sums.Sampled(sums, waterfall_sums.sums_to_the_end_numpy(usable), None, 0.1, 0.07)
-        edges = np.sort(random.uniform(0.0, 7.0, (3, 20)), axis=1)
-        row = np.arange(24) % 3
-        n_unlike += unlike(
-            watch(waterfall_sums.means, sampled, edges, row), waterfall_sums.means_numpy(sampled, edges, row)
-        )
-        logs = np.log(np.maximum(plane.astype(np.float64), 1e-300))
-        n_unlike += unlike(
-            watch(waterfall_steps.step_ratios, logs, usable, 4, 6, 0.7, 3.3),
-            waterfall_steps.step_ratios_numpy(logs, usable, 4, 6, 0.7, 3.3),
-        )
-        n_unlike += unlike(
-            watch(waterfall_boxes.box_level, level, usable, (4, 5), 0.25),
-            waterfall_boxes.box_level_numpy(level, usable, (4, 5), 0.25),
-        )
-        n_unlike += unlike(
-            watch(waterfall_rows.row_medians, logs, usable, 8), waterfall_rows.row_medians_numpy(logs, usable, 8)
-        )
-    return Found(n_unlike)
-
-
 # --- detection
 
 
@@ -336,60 +301,13 @@ def _code_sums(watch: Watch, quick: bool) -> Found:
     return Found(float(n_unlike))
 
 
-def _features(largest: float, watch: Watch, quick: bool) -> Found:
-    """Count window scores of drawn stumps that differ between C and numpy; codes are at both ends, and many tie."""
-    n_unlike = 0.0
-    for seed in range(2 if quick else 20):
-        random = random_of(seed)
-        codes = random.choice(np.array([0, 0, 1, 1024, 16383, 16384], dtype=np.uint16), (12, 40))
-        codes[:, 10:25] = random.choice([0, 1024, 16384])
-        everywhere = np.ones(codes.shape, dtype=np.bool_)
-        plane = make_plane(codes, everywhere, everywhere, np.full(12, 5.0), 0.3, 0.35)
-        tables = tables_of(drawn_model(seed, largest), 0.3, 0.35, plane.sums.shape[1])
-        corner = plane.margin_rows * plane.sums.shape[1] + plane.margin_near
-        edges = band_edges(plane.first_return_m, 40, 0.35)
-        field = cascade.WindowField(plane.sums, plane.counts, corner, plane.usable, edges)
-        opened, twin = watch(cascade.open_windows, field, tables, 1), cascade.open_windows_numpy(field, tables, 1)
-        n_unlike += unlike(tuple(opened.windows), tuple(twin.windows)) + (opened.n_windows != twin.n_windows)
-        again = opened.windows._replace(score=np.zeros_like(opened.windows.score))
-        for kernel in (partial(watch, cascade.run_groups), cascade.run_groups_numpy):
-            n_unlike += unlike(kernel(plane.sums, tables, again, 0, 1)[0].score, opened.windows.score)
-    return Found(n_unlike)
-
-
-def _contrast_twins(watch: Watch, _: bool) -> Found:
-    """Count the numbers that differ between C and numpy over all kinds of intensity."""
-    n_unlike = 0.0
-    random = random_of(13)
-    boxes = np.array([(-2, 3, -3, 4), (-1, 2, 2, 9)], dtype=np.int32)
-    outer, hollow = (np.array(box, dtype=np.int32) for box in ((-7, 8, -9, 10), (-2, 3, -3, 4)))
-    frame = Frame(outer, hollow, 20.0)
-    for make in INTENSITIES.values():
-        plane = np.ascontiguousarray(make((30, 44)))
-        mask = np.where(random.random(plane.shape) < 0.9, VALID, 0).astype(np.uint8)
-        sums = watch(contrast.image_sums, plane, mask, 30.0)
-        n_unlike += unlike(tuple(sums), tuple(contrast.image_sums_numpy(plane, mask, 30.0)))
-        least = np.float32(1e-6)
-        level, known = watch(contrast.background, plane, mask, frame, 10.0, least)
-        n_unlike += unlike((level, known), contrast.background_numpy(plane, mask, frame, 10.0, least))
-        found = watch(contrast.ratios, sums, level, boxes, 1e-3)
-        n_unlike += unlike(found, contrast.ratios_numpy(sums, level, boxes, 1e-3))
-        three = np.stack([np.log(np.maximum(plane, np.float32(1e-37)))] * 3)
-        n_unlike += unlike(
-            watch(contrast.local_variances, three, known, (0, 30), (4, 5), 6.0, 1e-3),
-            contrast.local_variances_numpy(three, known, (0, 30), (4, 5), 6.0, 1e-3),
-        )
-        n_unlike += unlike(watch(cascade.encode, plane, mask), cascade.encode_numpy(plane, mask))
-    return Found(n_unlike)
-
-
 def front_rows() -> list[NumberRow]:
     """List the rows of waterfall and detection."""
     return [*_waterfall_rows(), *_detection_rows()]
 
 
 def _waterfall_rows() -> list[NumberRow]:
-    fsum, ratio, mp, twin = "exact summation", "fractions", "mpmath", "numpy twin"
+    fsum, ratio, mp = "exact summation", "fractions", "mpmath"
     gains, spike = (1e-30, 1.0, 1e30), "96 dB spike in the last of 65,535 samples"
     smooth = [kind for kind in INTENSITIES if not kind.startswith("ring")]
     return [
@@ -403,14 +321,12 @@ def _waterfall_rows() -> list[NumberRow]:
         *each("angle response", "gain {:g}", fsum, "nats", 1e-11, _angle_sums, gains),
         *each("bottom tracking", "gain {:g}, 65,535 bins", ratio, "nats", 1e-8, _bottom, gains),
         *each("bottom path", "scores times {:g}", "whole numbers", "relative", 0.0, _viterbi, (1e-30, 2.0**-20, 1e30)),
-        NumberRow("waterfall kernels", "all inputs above", twin, "numbers unlike", 0.0, _waterfall_twins),
     ]
 
 
 def _detection_rows() -> list[NumberRow]:
-    fsum, ratio, mp, twin = "exact summation", "fractions", "mpmath", "numpy twin"
+    fsum, ratio, mp = "exact summation", "fractions", "mpmath"
     kinds = ("one look", "constant", "saturated", "offset 1e6", "gain 1e30")
-    ties = "ties, thresholds to {:g}"
     return [
         *each("contrast means", "{}", fsum, "relative", ROUNDED, _contrast_means, kinds),
         NumberRow("contrast background", "shadow of 1e-30 of the floor", fsum, "relative", ROUNDED, _background),
@@ -420,6 +336,4 @@ def _detection_rows() -> list[NumberRow]:
         NumberRow("peaks", "five values, gain 1e-30 to 1e30", "search", "peaks unlike", 0.0, _peaks),
         NumberRow("cascade codes", "1e-38 to 1e38, halves", ratio, "codes unlike", 0.0, _codes),
         NumberRow("cascade sums", "saturated tile", "whole numbers", "sums unlike", 0.0, _code_sums),
-        *each("cascade features", ties, twin, "numbers unlike", 0.0, _features, (1.0, 3.0, 1e3)),
-        NumberRow("detection kernels", "all inputs above", twin, "numbers unlike", 0.0, _contrast_twins),
     ]

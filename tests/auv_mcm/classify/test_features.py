@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from auv_mcm.classify.details import detection_details
 from auv_mcm.classify.features import (
     Features,
     compressed,
@@ -275,3 +276,12 @@ def test_a_solid_that_explains_more_counts_for_more(cost: float, better: float) 
     worse, best = (shape_features(no_fits(fits=(fit_of(nats),)), NO_LABELS) for nats in (cost, cost - better))
     assert best["shape_evidence"] > worse["shape_evidence"]
     assert best["shape_evidence_of_usual_size"] > worse["shape_evidence_of_usual_size"]
+
+
+@given(
+    st.fixed_dictionaries(
+        dict.fromkeys(("ground_range_m", "altitude_m", "length_m", "height_m", "shadow_length_m"), anything)
+    )
+)
+def test_the_details_of_any_detection_are_finite(measured: dict[str, float]) -> None:
+    assert all(map(math.isfinite, detection_details(detection(**measured)).values()))
