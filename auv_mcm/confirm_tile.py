@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
+from itertools import islice
 from typing import NamedTuple, Protocol
 
 import msgspec
 
 from auv_mcm.classify.odds import MineOdds
-from auv_mcm.classify.verifier import Opinion
-from auv_mcm.confirmation import is_worth_confirming, without_confirmation
+from auv_mcm.classify.verifier import NO_OPINION, Opinion
+from auv_mcm.confirmation import CLOSE_LOOK_P, ended_at_verifier, is_worth_confirming, without_confirmation
 from auv_mcm.defects import Defect, caught
 from auv_mcm.records import Detection
 from auv_mcm.settings.config import ConfirmConfig
@@ -70,15 +71,22 @@ def confirm_tile(
     wanted = [d for d, worth in zip(detections, worthwhile, strict=True) if worth]
     best_first = sorted((d for d in wanted if d.surroundings is not None), key=lambda d: (-d.p_mine, d.row, d.column))
     unpaid = [d for d in wanted if d.surroundings is None]
-    most = len(best_first) if "look-limit" in without_skips else config.max_per_tile
+    limited = "look-limit" not in without_skips
+    most = config.max_per_tile if limited else len(best_first)
     chosen, rest = best_first[:most], best_first[most:]
-    tried = chosen + [d for d, worth in zip(detections, worthwhile, strict=True) if not worth]
-    looks = list(mapped(lambda one, opinion: caught(partial(look, one, opinion)), tried, opinions(chosen)))
+    said = list(islice(opinions(chosen), len(chosen)))
+    spared = _spared(chosen, said, odds, config) if limited and len(chosen) > config.max_examined_per_tile else {}
+    asked = [(one, opinion) for k, (one, opinion) in enumerate(zip(chosen, said, strict=True)) if k not in spared]
+    asked += [(d, None) for d, worth in zip(detections, worthwhile, strict=True) if not worth]
+    tried = [one for one, _ in asked]
+    looks = list(
+        mapped(lambda one, opinion: caught(partial(look, one, opinion)), tried, (opinion for _, opinion in asked))
+    )
     defects = [(detection, done) for detection, done in zip(tried, looks, strict=True) if isinstance(done, Defect)]
     looked_at = [done for done in looks if not isinstance(done, Defect)]
     counters: Counter[str] = Counter()
     counters["confirm.beyond_budget"] += len(unpaid)
-    counters["confirm.over_budget"] += len(rest)
+    counters["confirm.over_budget"] += len(rest) + len(spared)
     for detection in looked_at:
         found = detection.confirmation
         ended = found is None and "verifier" in detection.p_by_step
@@ -90,4 +98,18 @@ def confirm_tile(
         counters["confirm.solids_not_refined"] += 0 if found is None else found.n_not_refined
     looked_at += [without_confirmation(detection, odds, "look_failed") for detection, _ in defects]
     looked_at += [without_confirmation(detection, odds, "over_budget") for detection in rest + unpaid]
-    return ConfirmedTile(looked_at, defects, counters)
+    return ConfirmedTile(looked_at + list(spared.values()), defects, counters)
+
+
+def _spared(
+    chosen: list[Detection], said: list[Opinion | None], odds: MineOdds, config: ConfirmConfig
+) -> dict[int, Detection]:
+    """End those beyond the limit of examinations with the verifier's p_mine; by their number among those chosen."""
+    ended = {
+        k: ended_at_verifier(one, opinion, odds, "over_budget")
+        for k, (one, opinion) in enumerate(zip(chosen, said, strict=True))
+        if opinion is not None and opinion is not NO_OPINION
+    }
+    likely = [k for k, one in ended.items() if one.p_mine >= max(config.min_p_mine, CLOSE_LOOK_P)]
+    beyond = sorted(likely, key=lambda k: (-ended[k].p_mine, k))[config.max_examined_per_tile :]
+    return {k: ended[k] for k in beyond}

@@ -52,7 +52,7 @@ _QUALITY: Final = 0.95  # of a view that nothing speaks against
 _POOR_QUALITY: Final = 0.6  # reliability of a poor view, where a good one has _QUALITY; chosen, not measured
 _POOR: Final = frozenset({"in_turn", "bottom_not_seen", "cut_off", "altitude"})
 _NOT_LISTED: Final = -0.5  # nats by the mines expected from which the reasons say so: a third of the odds
-_CLOSE_LOOK_P: Final = 0.05  # p_mine from which a view gets a close look; asked of less likely ones, no call changed
+CLOSE_LOOK_P: Final = 0.05  # p_mine from which a view gets a close look; asked of less likely ones, no call changed
 _MIN_PIXELS: Final = 8  # along either axis; contours need as many
 _SEARCH_M: Final = 0.7  # from the detection to the labels that are its
 ExaminationStep: TypeAlias = Literal["survey", "first contours", "field", "second contours", "solids", "features"]
@@ -104,9 +104,10 @@ def confirm_detection(
     """
     sizes = size_evidence(shipped_targets()) if sizes is None else sizes
     p_detector = detector_p_mine(detection, odds)
-    if detection.surroundings is None or (p_detector < config.min_p_mine and "detector-odds" not in without_skips):
+    surroundings = detection.surroundings
+    if surroundings is None or (p_detector < config.min_p_mine and "detector-odds" not in without_skips):
         return without_confirmation(detection, odds, "not_looked_at")
-    region = region_of(detection, detection.surroundings, beam_width_rad)
+    region = region_of(detection, surroundings, beam_width_rad)
     if (fault := _fault(region)) is not None:
         return without_confirmation(detection, odds, fault)
     p_by_step: dict[LookStep, float] = {"detector": p_detector}
@@ -117,7 +118,9 @@ def confirm_detection(
             (opinion,) = opinions_on([detection], beam_width_rad, odds)
         verified = odds.verified_ratio(_detector_ratio(detection, odds), opinion.nats)
         p_by_step["verifier"] = odds.p_mine(verified)
-        if p_by_step["verifier"] < max(config.min_p_mine, _CLOSE_LOOK_P) and "verifier-odds" not in without_skips:
+        if opinion is not NO_OPINION:
+            detection = msgspec.structs.replace(detection, kind_nats=opinion.kind_nats)
+        if p_by_step["verifier"] < max(config.min_p_mine, CLOSE_LOOK_P) and "verifier-odds" not in without_skips:
             return _ended(detection, p_by_step, "not_looked_at")
         min_p_mine = 0.0
     examination = examine(
@@ -135,7 +138,7 @@ def confirm_detection(
         weight = sizes.weigh(examination.fits)
         log_ratio = _seen(log_ratio + weight.nats, examination.contours)
         p_by_step["shape"] = odds.p_mine(log_ratio)
-    found = _confirmation(detection, detection.surroundings, examination, log_ratio, weight, opinion or NO_OPINION)
+    found = _confirmation(detection, surroundings, examination, log_ratio, weight, opinion or NO_OPINION)
     p_mine = odds.p_mine(log_ratio)
     return msgspec.structs.replace(detection, p_mine=p_mine, p_by_step=p_by_step, surroundings=None, confirmation=found)
 
@@ -155,12 +158,14 @@ def without_confirmation(detection: Detection, odds: MineOdds, reason: str) -> D
     return _ended(detection, {"detector": detector_p_mine(detection, odds)}, reason)
 
 
-def opinions_on(detections: Sequence[Detection], beam_width_rad: float, odds: MineOdds) -> list[Opinion]:
+def opinions_on(
+    detections: Sequence[Detection], beam_width_rad: float, odds: MineOdds, most_again: int | None = None
+) -> list[Opinion]:
     """Ask the verifier's network about detections with surroundings, all together, one opinion each.
 
-    Where p_mine reaches 0.05, the opinion is the mean of four: of chips that lie a little off, too, and are mirrored.
-    NO_OPINION on a detection whose region is too small or has no geometry. Raises ValueError for odds without a
-    verifier.
+    Where p_mine reaches 0.05, the opinion is the mean of four: of chips that lie a little off, too, and are mirrored;
+    of the likeliest `most_again`, None for all. NO_OPINION on a detection whose region is too small or has no geometry.
+    Raises ValueError for odds without a verifier.
     """
     if odds.verifier is None:
         raise ValueError("these odds have no verifier")
@@ -171,11 +176,12 @@ def opinions_on(detections: Sequence[Detection], beam_width_rad: float, odds: Mi
     sound = [k for k, (_, region) in enumerate(seen) if _fault(region) is None]
     chips = [chip_of(seen[k][1]) for k in sound]
     scores = network.scores(chips)
-    asked_again = []
-    for number, (k, opinion) in enumerate(zip(sound, opinions_of(scores, other_nats), strict=True)):
-        ratio = odds.verified_ratio(_detector_ratio(seen[k][0], odds), opinion.nats)
-        if odds.p_mine(ratio) >= _CLOSE_LOOK_P:
-            asked_again.append(number)
+    p_each = [
+        odds.p_mine(odds.verified_ratio(_detector_ratio(seen[k][0], odds), opinion.nats))
+        for k, opinion in zip(sound, opinions_of(scores, other_nats), strict=True)
+    ]
+    likely = sorted((n for n, p in enumerate(p_each) if p >= CLOSE_LOOK_P), key=lambda n: -p_each[n])
+    asked_again = sorted(likely[:most_again])
     if asked_again:
         beside = [chip for n in asked_again for chip in chips_beside(seen[sound[n]][1], chips[n])]
         scores[asked_again] = mean_scores(scores[asked_again], network.scores(beside))
@@ -189,14 +195,21 @@ def verified(detections: Sequence[Detection], beam_width_rad: float, odds: MineO
     For who cannot wait for outline, size and kind. Detections keep their order; each needs surroundings. Raises
     ValueError for odds without a verifier.
     """
-    found = []
-    for one, opinion in zip(detections, opinions_on(detections, beam_width_rad, odds), strict=True):
-        ratio = _detector_ratio(one, odds)
-        steps: dict[LookStep, float] = {"detector": odds.p_mine(ratio)}
-        if opinion is not NO_OPINION:
-            steps["verifier"] = odds.p_mine(odds.verified_ratio(ratio, opinion.nats))
-        found.append(_ended(one, steps, "not_looked_at"))
-    return found
+    opinions = opinions_on(detections, beam_width_rad, odds)
+    return [
+        ended_at_verifier(one, opinion, odds, "not_looked_at")
+        for one, opinion in zip(detections, opinions, strict=True)
+    ]
+
+
+def ended_at_verifier(detection: Detection, opinion: Opinion, odds: MineOdds, reason: str) -> Detection:
+    """End confirmation with p_mine after the verifier, or the detector's where it has no opinion."""
+    ratio = _detector_ratio(detection, odds)
+    steps: dict[LookStep, float] = {"detector": odds.p_mine(ratio)}
+    if opinion is not NO_OPINION:
+        steps["verifier"] = odds.p_mine(odds.verified_ratio(ratio, opinion.nats))
+        detection = msgspec.structs.replace(detection, kind_nats=opinion.kind_nats)
+    return _ended(detection, steps, reason)
 
 
 def _ended(detection: Detection, p_by_step: dict[LookStep, float], reason: str) -> Detection:

@@ -491,7 +491,8 @@ class Pipeline:
         None also where it failed: each asks again for itself, so that one that fails harms no other.
         """
         if self._asks_network and chosen:
-            found = caught(partial(opinions_on, chosen, self._config.sonar.beam_width_rad, self._odds))
+            most = None if "look-limit" in self._without_skips else self._config.confirm.max_examined_per_tile
+            found = caught(partial(opinions_on, chosen, self._config.sonar.beam_width_rad, self._odds, most))
             if not isinstance(found, Defect):
                 yield from found
         yield from repeat(None)

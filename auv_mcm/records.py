@@ -262,8 +262,9 @@ class Detection(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     intensity around the object, near range left, earlier pings on top; snippet_row, snippet_column: the centroid inside
     it. covariance_m2: (2, 2) float64 east/north. p_mine: of this view alone;
     p_by_step: after each step of confirmation (`detector`, `verifier`, `contours`, `shape`) that was taken.
-    surroundings: until then. confirmation: None if there was no confirmation; `reasons` states why. squint_rad: of the
-    pings, 0 for side scan.
+    surroundings: until then. confirmation: None if there was no confirmation; `reasons` states why. kind_nats: of the
+    verifier's kinds of mine, logarithms of their probabilities if it is one, up to a constant; () where it was not
+    asked. squint_rad: of the pings, 0 for side scan.
     """
 
     side: Side
@@ -299,6 +300,7 @@ class Detection(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     cascade_score: float = NAN
     depth_m: float = NAN
     squint_rad: float = 0.0
+    kind_nats: tuple[float, ...] = ()
 
     @property
     def strength(self) -> float:

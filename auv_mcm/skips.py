@@ -105,7 +105,7 @@ SKIPS: Final[tuple[Skip, ...]] = (
     ),
     Skip(
         "look-limit",
-        "examinations beyond the maximum per tile, the least likely ones",
+        "confirmations and examinations beyond the maximum per tile, the least likely ones",
         "a notice says so, and the contact carries over_budget",
         "confirm.over_budget",
         "bytes while 0",

@@ -9,11 +9,12 @@ from auv_mcm.records import Detection, Notice, Tile
 
 
 def looks_over_budget(detection: Detection, n_over_budget: int) -> Notice:
-    """Say that detections of a tile beyond the limit were not confirmed."""
+    """Say that detections of a tile beyond the limits were not confirmed to the end."""
     return Notice(
         code="confirm.over_budget",
-        text=f"{n_over_budget} detections beyond the limit of a tile were not confirmed; they keep the detector's "
-        "p_mine. Raise confirm.max_per_tile if the computer can afford it. Further ones are only counted.",
+        text=f"{n_over_budget} detections beyond the limits of a tile were not confirmed to the end; they keep "
+        "p_mine of the step before. Raise confirm.max_per_tile and confirm.max_examined_per_tile if the computer can "
+        "afford it. Further ones are only counted.",
         place=f"{detection.side}, ping {detection.ping_number}",
     )
 

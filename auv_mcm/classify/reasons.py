@@ -16,7 +16,7 @@ CLOSE_LOOK_REASONS: Final[dict[str, str]] = {
     # what was confirmed
     "not_looked_at": "the odds of a mine were too low for confirmation",
     "over_budget": (
-        "there were more detections than the budget for confirmation allows: this one keeps the detector's odds"
+        "there were more detections than the limits of confirmation allow: this one keeps the odds of the step before"
     ),
     "look_failed": "confirmation at it failed: this one keeps the detector's odds",
     "views_contradict": (

@@ -251,6 +251,14 @@ class ConfirmConfig(_Section, frozen=True, kw_only=True):
         Meta(ge=0, le=100_000),
         Meta(description="maximum number of detections confirmed per tile and side, best first; the rest is counted"),
     ] = 128
+    max_examined_per_tile: Annotated[
+        int,
+        Meta(ge=0, le=100_000),
+        Meta(
+            description="maximum number of detections per tile and side whose outline, size and kind are measured, the "
+            "likeliest by the verifier first; the others keep its p_mine, and are counted"
+        ),
+    ] = 16
 
 
 class ContactsConfig(_Section, frozen=True, kw_only=True):

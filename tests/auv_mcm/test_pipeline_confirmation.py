@@ -77,6 +77,20 @@ def test_beyond_the_budget_the_detectors_odds_stand_and_it_is_reported() -> None
     assert {contact.id for contact in pipeline.contacts} == {contact.id for contact in run(ConfirmConfig())[0].contacts}
 
 
+def test_beyond_the_limit_of_examinations_the_verifiers_odds_stand_and_it_is_reported() -> None:
+    pipeline, events = run(ConfirmConfig(max_examined_per_tile=0))
+    spared = best(pipeline.contacts)
+    assert pipeline.counters["confirm.looked_at"] == 0
+    assert pipeline.counters["confirm.over_budget"] >= len(spared)
+    for contact in spared:
+        (view,) = contact.views
+        assert view.confirmation is None
+        assert "over_budget" in contact.reasons
+        assert list(view.p_by_step) == ["detector", "verifier"]
+        assert contact.p_mine == view.p_by_step["verifier"] > 0.5
+    assert [event.code for event in events if isinstance(event, Notice)].count("confirm.over_budget") == 1
+
+
 def test_without_a_close_look_contacts_carry_what_the_detector_found() -> None:
     pipeline, _ = run(ConfirmConfig(enabled=False))
     assert not any(code.startswith("confirm.") for code in pipeline.counters)
