@@ -29,9 +29,10 @@ class BudgetConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         ),
     ] = None
     sample_us: Annotated[float, _price("a stored sample on its way into a tile")] = 0.24
-    pixel_us: Annotated[float, _price("contrast, sea floor and coverage of a pixel in a tile's core")] = 0.26
+    pixel_us: Annotated[float, _price("contrast, sea floor and coverage of a pixel in a tile's core")] = 0.17
     comparison_us: Annotated[float, _price("a comparison of the cascade")] = 0.001
     peak_us: Annotated[float, _price("measuring a peak")] = 1400.0
     contour_move_us: Annotated[float, _price("a move of a contour's node")] = 35.0
-    field_us: Annotated[float, _price("the Markov field of an examination, and what else it needs")] = 7000.0
-    hypothesis_us: Annotated[float, _price("a hypothesis on a solid")] = 1.5
+    opinion_us: Annotated[float, _price("the verifier's opinion on a detection")] = 1500.0
+    field_us: Annotated[float, _price("the Markov field of an examination, and what else it needs")] = 6200.0
+    hypothesis_us: Annotated[float, _price("a hypothesis on a solid")] = 1.3

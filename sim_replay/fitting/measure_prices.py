@@ -23,6 +23,7 @@ from auv_mcm.confirmation import (
     confirm_detection,
     examine,
     is_worth_confirming,
+    opinions_on,
     region_of,
 )
 from auv_mcm.detect.cascade.choose import configured_model, fitting
@@ -111,12 +112,15 @@ def _measured_once(events: Iterable[SourceEvent], config: Config, known: BudgetC
     model, _ = fitting(configured_model(config), config)
     odds = shipped_odds("contrast" if model is None else "cascade")
     tiles: list[Tile] = []
+    asked: list[Detection] = []
     looked_at: list[Detection] = []
 
     def look(detection: Detection) -> Detection:
-        if is_worth_confirming(detection, odds, config.confirm):
-            looked_at.append(detection)
-        return confirm_detection(detection, config.sonar.beam_width_rad, odds, config.confirm)
+        done = confirm_detection(detection, config.sonar.beam_width_rad, odds, config.confirm)
+        if detection.surroundings is not None and is_worth_confirming(detection, odds, config.confirm):
+            asked.append(detection)
+            looked_at.extend([detection] if done.confirmation is not None else [])
+        return done
 
     pipeline = Pipeline(config, timer=clock, look=look)
     n_samples = 0
@@ -133,6 +137,7 @@ def _measured_once(events: Iterable[SourceEvent], config: Config, known: BudgetC
     )
     comparison_s = known.comparison_us / _US_PER_S if model is None else 1.0 / speed
     bare_s, peak_s, n_peaks = _detection_costs(tiles, config, model, comparison_s, clock)
+    opinions_s = _opinions_cost_s(asked, config, odds, clock)
     looks_s, n_work = _look_costs(looked_at[:_MAX_LOOKS], config, odds, clock)
     costs_s = pipeline.costs_s
     contours_s = sum(looks_s[step] for step in _OF_CONTOURS)
@@ -143,6 +148,7 @@ def _measured_once(events: Iterable[SourceEvent], config: Config, known: BudgetC
         comparison_us=_price_us(comparison_s, 1, known.comparison_us),
         peak_us=_price_us(peak_s, n_peaks, known.peak_us),
         contour_move_us=_price_us(contours_s, n_work["moves"], known.contour_move_us),
+        opinion_us=_price_us(opinions_s, len(asked), known.opinion_us),
         field_us=_price_us(other_s, n_work["looks"], known.field_us),
         hypothesis_us=_price_us(looks_s["solids"], n_work["hypotheses"], known.hypothesis_us),
     )
@@ -162,7 +168,7 @@ def price_words(prices: BudgetConfig, config: Config, speed_mps: float, duty: fl
         f"  {bare.cheapest_us / 1e3:.0f} ms for the cheapest pass, and {prices.sample_us:g} us for each stored sample\n"
         f"  {bare.left_us / 1e3:.0f} ms more, in which the cascade could make {n_comparisons / 1e6:.0f} million "
         "comparisons\n"
-        f"  or {bare.n_looks(0, 0)} examinations of {look_price_us(prices) / 1e3:.1f} ms be made"
+        f"  or {bare.n_looks(0, 0)} looks of {look_price_us(prices) / 1e3:.1f} ms be made"
     )
 
 
@@ -192,6 +198,14 @@ def _detection_costs(
         whole_s += clock() - between_s - whole.n_evaluations * comparison_s
         n_peaks += len(whole.detections)
     return max(bare_s, 0.0), max(whole_s - bare_s, 0.0), n_peaks
+
+
+def _opinions_cost_s(detections: list[Detection], config: Config, odds: MineOdds, clock: Clock) -> float:
+    """Time the verifier's opinions on detections, all asked together as those of a tile are, s."""
+    began_s = clock()
+    if odds.verifier is not None:
+        opinions_on(detections, config.sonar.beam_width_rad, odds)
+    return clock() - began_s
 
 
 def _look_costs(
@@ -232,7 +246,8 @@ def _examined(
         mark = now
 
     region = region_of(detection, detection.surroundings, config.sonar.beam_width_rad)
-    return examine(detection, region, odds, config.confirm.min_p_mine, done)
+    decides = odds.verifier is None  # otherwise nothing is measured but what is reported
+    return examine(detection, region, odds, config.confirm.min_p_mine, done, measures_features=decides)
 
 
 def _price_us(cost_s: float, n_units: int, known_us: float) -> float:

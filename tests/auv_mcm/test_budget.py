@@ -40,7 +40,7 @@ from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene import Lawnmower, Scene
 from sim_replay.simulator.scene_file import read_scene
 
-DUTIES = (1e-4, 0.03, 0.06, 0.13, 1.0)
+DUTIES = (1e-4, 0.02, 0.03, 0.04, 1.0)
 """From less than the cheapest pass to more than everything."""
 _WINDOWS_FROM_US = RESERVED_LOOKS * look_price_us(BudgetConfig())
 BUDGETS_US = (
@@ -195,11 +195,11 @@ def test_a_budget_that_is_never_reached_changes_no_byte() -> None:
 
 
 def test_the_same_log_and_budget_give_the_same_bytes_whatever_the_threads() -> None:
-    assert contacts_geojson(run(0.06, 3)[0].contacts) == contacts_geojson(run(0.06)[0].contacts)
+    assert contacts_geojson(run(0.03, 3)[0].contacts) == contacts_geojson(run(0.03)[0].contacts)
 
 
 def test_what_a_budget_leaves_out_is_counted_reported_once_and_said_of_the_contact() -> None:
-    pipeline, events = run(0.06)
+    pipeline, events = run(0.03)
     assert pipeline.counters["confirm.beyond_budget"] > 0
     assert pipeline.counters["budget.tile_limited"] > 0
     notices = [event for event in events if isinstance(event, Notice) and event.code == "budget.tile_limited"]

@@ -77,7 +77,7 @@ def test_the_hypotheses_that_a_look_is_priced_with_are_those_of_the_search() -> 
 def test_what_a_duty_buys_is_said() -> None:
     words = price_words(BudgetConfig(), Config(), 2.0, 0.25)
     assert "a tile every 15.4 s; 25% of one core is 3840 ms" in words
-    assert f"examinations of {look_price_us(BudgetConfig()) / 1e3:.1f} ms" in words
+    assert f"looks of {look_price_us(BudgetConfig()) / 1e3:.1f} ms" in words
 
 
 @pytest.mark.parametrize("word", [["budget"], []])
