@@ -26,6 +26,7 @@ from auv_mcm.records import NAN, SEABED_TYPES, Contact
 
 Array = NDArray[np.float64]
 
+NEWS: Final = 0.2  # share of a further view's information that the first has not; for planning only, chosen
 FALSE_CALL: Final = 0.1  # probability that a view calls clutter a mine; for planning only, chosen, not measured
 LOOK_RUN_M: Final = 30.0  # straight, with the contact abeam of its middle, beside the settling
 _MINES_M2: Final = 5e-6  # per square metre: the density that plans are weighed by
@@ -74,8 +75,6 @@ def contact_legs(
 
     Each contact gets the first of its directions that the fence allows and that adds information.
     """
-    from auv_mcm.classify.fusion import NEWS  # brings OpenCV with it
-
     frame = LocalFrame(latitude_deg=clearance.origin_latitude_deg, longitude_deg=clearance.origin_longitude_deg)
     requests = []
     for contact in sorted(contacts, key=lambda contact: contact.id):

@@ -20,6 +20,7 @@ BENCHES: Final = {  # modules of sim_replay with EXPERIMENT, or add_arguments an
     "law": ("benches.law", "whether the law of a recorder is recognised, and its decibels per count"),
     "seabed": ("benches.seabed", "the live map of the sea floor against the truth of the named scenes"),
     "clearance": ("benches.clearance", "mines left, estimated against true"),
+    "views": ("benches.views", "what further views of a contact bring, missions flown along and across"),
     "domains": ("benches.domains", "p_mine on whole domains: Pd at given false alarms, and calibration"),
     "view": ("benches.view", "whole missions judged in a browser, and heights measured there; makes the screenshots"),
 }

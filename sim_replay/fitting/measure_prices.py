@@ -246,8 +246,7 @@ def _examined(
         mark = now
 
     region = region_of(detection, detection.surroundings, config.sonar.beam_width_rad)
-    decides = odds.verifier is None  # otherwise nothing is measured but what is reported
-    return examine(detection, region, odds, config.confirm.min_p_mine, done, measures_features=decides)
+    return examine(detection, region, odds, config.confirm.min_p_mine, done)
 
 
 def _price_us(cost_s: float, n_units: int, known_us: float) -> float:

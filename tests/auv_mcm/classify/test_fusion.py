@@ -13,11 +13,16 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from auv_mcm.classify.beliefs import FRAME, MINE_LIKE_P, vacuous
-from auv_mcm.classify.fusion import CONTRADICTION, NEWS, FusedViews, fuse, fused_ratio
+from auv_mcm.classify.fusion import AGREEMENT_NATS, CONTRADICTION, FusedViews, agreement_nats, fuse
 from auv_mcm.records import NAN, ContactClass, Detection
 from tests.auv_mcm.classify.drawn_looks import confirmation, detection, like
 
 PRIOR = math.log(0.1 / 0.9)
+ONE_KIND = (0.0, -50.0)
+"""Of a verifier that is sure of the kind."""
+SAME, SLOPE = AGREEMENT_NATS
+"""Evidence of a second view from elsewhere that surely shows the same kind, and the weight of the logarithm of the
+chance of that."""
 
 
 def looked_at(
@@ -26,13 +31,13 @@ def looked_at(
     time_s: float = 0.0,
     prior: float = PRIOR,
     shape: NDArray[np.float64] | None = None,
+    kind_nats: tuple[float, ...] = (),
     **values: Any,
 ) -> Detection:
     """A view with evidence in nats, and which solids its shadow may be of."""
     found = confirmation(log_ratio, shape, **values)
-    return detection(
-        p_mine=1.0 / (1.0 + math.exp(-(log_ratio + prior))), aspect_deg=aspect_deg, time_s=time_s, confirmation=found
-    )
+    p_mine = 1.0 / (1.0 + math.exp(-(log_ratio + prior)))
+    return detection(p_mine=p_mine, aspect_deg=aspect_deg, time_s=time_s, confirmation=found, kind_nats=kind_nats)
 
 
 def odds(verdict: FusedViews) -> float:
@@ -146,15 +151,15 @@ def test_without_anything_said_of_kinds_the_kind_is_unknown() -> None:
     assert fuse([looked_at(6.0, 20.0, prior=0.0, shape=vacuous())], 0.0).classification == "unknown"
 
 
-# ---------------------------------------------------------------- the most mine-like view speaks, the others add a
-# little
+# ---------------------------------------------------------------- the most mine-like view speaks, the others say
+# whether it is of one kind
 
 
-def test_the_most_mine_like_view_counts_in_full_and_a_share_of_the_others_from_other_directions() -> None:
+def test_the_most_mine_like_view_speaks_and_others_add_what_their_kinds_say() -> None:
     for ratios in ([2.0, 1.0], [2.0, -1.0], [1.0, 1.0, 1.0], [-2.0, -1.0, 0.5]):
-        seen = [looked_at(ratio, 60.0 * number, float(number)) for number, ratio in enumerate(ratios)]
-        expected = max(ratios) + NEWS * (sum(ratios) - max(ratios))
-        assert odds(fuse(seen, PRIOR)) == pytest.approx(PRIOR + expected, abs=0.03)
+        for kinds, each in ((ONE_KIND, SAME), ((), 0.0), ((0.0, 0.0), SAME - SLOPE * math.log(2.0))):
+            seen = [looked_at(r, 120.0 * n, float(n), kind_nats=kinds) for n, r in enumerate(ratios)]
+            assert odds(fuse(seen, PRIOR)) == pytest.approx(PRIOR + max(ratios) + each * (len(seen) - 1), abs=0.03)
 
 
 @given(st.lists(aspects, min_size=2, max_size=5), st.floats(-6.0, 2.0))
@@ -165,45 +170,42 @@ def test_views_without_evidence_stay_at_the_prior_however_many(directions: list[
 
 
 @settings(max_examples=30)
-@given(st.floats(0.5, 5.0), st.floats(40.0, 140.0))
-def test_an_agreeing_view_from_another_side_sharpens_and_the_same_again_hardly(
+@given(st.floats(-5.0, 5.0), st.floats(40.0, 180.0))
+def test_a_view_of_the_same_kind_from_another_side_sharpens_and_the_same_again_hardly(
     log_ratio: float, apart_deg: float
 ) -> None:
-    for sign in (1.0, -1.0):
-        one = looked_at(sign * log_ratio, 0.0)
-        alone = odds(fuse([one], PRIOR))
-        beside = odds(fuse([one, looked_at(sign * log_ratio, apart_deg, 1.0)], PRIOR))
-        again = odds(fuse([one, looked_at(sign * log_ratio, 0.5, 1.0)], PRIOR))
-        assert sign * (beside - alone) > 0.8 * NEWS * log_ratio
-        assert abs(again - alone) < 0.1 * NEWS * log_ratio
+    one = looked_at(log_ratio, 0.0, kind_nats=ONE_KIND)
+    alone = odds(fuse([one], PRIOR))
+    beside = odds(fuse([one, looked_at(log_ratio, apart_deg, 1.0, kind_nats=ONE_KIND)], PRIOR))
+    again = odds(fuse([one, looked_at(log_ratio, 0.5, 1.0, kind_nats=ONE_KIND)], PRIOR))
+    assert 0.9 * SAME < beside - alone <= SAME + 1e-6
+    assert abs(again - alone) < 0.1 * SAME
 
 
 def test_turning_on_from_the_first_view_the_second_counts_for_ever_more() -> None:
-    turned = [
-        odds(fuse([looked_at(2.0, 350.0), looked_at(2.0, 350.0 + apart, 1.0)], PRIOR))
-        for apart in (0.0, 2.0, 5.0, 10.0, 20.0, 90.0)
-    ]
+    seen = [looked_at(2.0, 350.0 + apart, apart, kind_nats=ONE_KIND) for apart in (0.0, 2.0, 5.0, 10.0, 20.0, 90.0)]
+    turned = [odds(fuse([looked_at(2.0, 350.0, -1.0, kind_nats=ONE_KIND), one], PRIOR)) for one in seen]
     assert turned == sorted(turned)
     assert turned[0] == pytest.approx(PRIOR + 2.0, abs=0.05)
-    assert turned[-1] == pytest.approx(PRIOR + 2.0 + 2.0 * NEWS, abs=0.05)
+    assert turned[-1] == pytest.approx(PRIOR + 2.0 + SAME, abs=0.05)
 
 
-def test_the_opposite_side_is_no_news_of_a_mine() -> None:
-    shape = like("cylinder", "truncated_cone", quality=0.7)
-    opposite = fuse([looked_at(2.0, 10.0, shape=shape), looked_at(2.0, 190.0, 1.0, shape=shape)], PRIOR)
-    assert odds(opposite) == pytest.approx(PRIOR + 2.0, abs=1e-6)
+def test_what_looks_like_a_mine_of_another_kind_from_each_side_is_less_likely_one() -> None:
+    """As a stone does."""
+    one = looked_at(4.0, 10.0, kind_nats=ONE_KIND)
+    for apart_deg in (45.0, 90.0, 180.0):
+        both = fuse([one, looked_at(4.0, 10.0 + apart_deg, 1.0, kind_nats=ONE_KIND[::-1])], PRIOR)
+        assert odds(both) < PRIOR + 1.5
 
 
-def test_two_views_of_a_stone_that_looks_like_a_mine_are_hardly_surer_than_one() -> None:
-    """Its shape stays with it: evidence that added up would call it for certain."""
-    for apart_deg in (0.0, 45.0, 90.0, 180.0):
-        both = fuse([looked_at(4.0, 10.0), looked_at(4.0, 10.0 + apart_deg, 1.0)], PRIOR)
-        assert odds(both) <= PRIOR + 4.0 + 4.0 * NEWS + 1e-9
+def test_however_many_views_agree_three_count() -> None:
+    seen = [looked_at(1.0, 40.0 * number, float(number), kind_nats=ONE_KIND) for number in range(9)]
+    assert odds(fuse(seen, PRIOR)) == pytest.approx(PRIOR + 1.0 + 3.0 * SAME, abs=1e-6)
 
 
 def test_a_mine_seen_badly_once_is_still_a_mine() -> None:
-    well, badly = looked_at(5.0, 10.0), looked_at(-3.0, 100.0, 1.0)
-    assert odds(fuse([well, badly], PRIOR)) == pytest.approx(PRIOR + 5.0 - 3.0 * NEWS, abs=0.01)
+    well, badly = looked_at(5.0, 10.0, kind_nats=ONE_KIND), looked_at(-3.0, 100.0, 1.0, kind_nats=(0.0, 0.0))
+    assert odds(fuse([well, badly], PRIOR)) > PRIOR + 5.0
 
 
 @pytest.mark.parametrize(
@@ -224,15 +226,14 @@ def test_the_opposite_side_is_new_evidence_of_the_kind_only_if_the_solid_looks_d
     assert verdict.belief["wedge"] / alone.belief["wedge"] == pytest.approx(
         ((1.0 - 0.3**n_counted) / 0.7) ** 3, abs=1e-3
     )
-    # Of a mine only the view from square to the first adds evidence.
-    assert odds(verdict) == pytest.approx(likely + log_ratio * (1.0 + NEWS * (apart_deg == 90.0)), abs=1e-6)
+    assert odds(verdict) == pytest.approx(likely + log_ratio, abs=1e-6)
 
 
 def test_views_that_each_leave_two_kinds_together_leave_one() -> None:
     both = fuse(
         [
-            looked_at(4.0, 0.0, shape=like("cylinder", "sphere")),
-            looked_at(4.0, 90.0, 1.0, shape=like("cylinder", "wedge")),
+            looked_at(5.0, 0.0, shape=like("cylinder", "sphere"), kind_nats=ONE_KIND),
+            looked_at(5.0, 90.0, 1.0, shape=like("cylinder", "wedge"), kind_nats=ONE_KIND),
         ],
         PRIOR,
     )
@@ -241,34 +242,44 @@ def test_views_that_each_leave_two_kinds_together_leave_one() -> None:
     assert both.conflict < 0.3
 
 
-def test_views_of_a_mine_that_show_different_kinds_still_show_a_mine() -> None:
+def test_shapes_of_different_kinds_take_no_evidence_for_a_mine() -> None:
     for quality in (0.6, 0.8, 0.95):
         seen = [
             looked_at(4.0, 0.0, shape=like("cylinder", quality=quality)),
             looked_at(4.0, 90.0, 1.0, shape=like("sphere", quality=quality)),
         ]
-        assert odds(fuse(seen, PRIOR)) == pytest.approx(PRIOR + 4.0 + 4.0 * NEWS, abs=1e-6)
+        assert odds(fuse(seen, PRIOR)) == pytest.approx(PRIOR + 4.0, abs=1e-6)
+
+
+kinds_seen = st.lists(st.floats(-6.0, 0.0), min_size=3, max_size=3).map(tuple)
 
 
 @settings(max_examples=50)
-@given(st.lists(st.tuples(st.floats(-8.0, 8.0), aspects), min_size=1, max_size=6))
-def test_fused_evidence_is_the_best_views_and_what_others_add(seen: list[tuple[float, float]]) -> None:
-    """Written out view by view, the most mine-like first."""
+@given(st.lists(st.tuples(st.floats(-8.0, 8.0), aspects, kinds_seen | st.just(())), min_size=1, max_size=6))
+def test_each_further_view_counts_by_the_chance_that_it_shows_the_kind_of_the_best(
+    seen: list[tuple[float, float, tuple[float, ...]]],
+) -> None:
+    """Written out view by view, the most mine-like first, by probabilities."""
+    assume(len({ratio for ratio, *_ in seen}) == len(seen))
     total = 0.0
     counted: list[float] = []
-    for ratio, aspect in sorted(seen, key=lambda view: -view[0]):
-        share = NEWS if counted else 1.0
+    best = max(seen)[2]
+    for _, aspect, kinds in sorted(seen, key=lambda view: -view[0]):
+        share = 1.0 if counted else 0.0
         for other in counted:
-            angle = abs(aspect - other) % 180.0
-            share *= 1.0 - math.exp(-(min(angle, 180.0 - angle) ** 2) / (2.0 * 15.0**2))
-        total += share * ratio
+            angle = abs(aspect - other) % 360.0
+            share *= 1.0 - math.exp(-(min(angle, 360.0 - angle) ** 2) / (2.0 * 15.0**2))
+        if best and kinds:
+            p, q = (np.exp(nats) / np.exp(nats).sum() for nats in (np.array(best), np.array(kinds)))
+            total += share * (SAME + SLOPE * math.log(max(sum(p * q), 1e-3)))
         counted.append(aspect)
-    assume(len({ratio for ratio, _ in seen}) == len(seen))
-    assert fused_ratio(*zip(*seen, strict=True)) == pytest.approx(total, abs=1e-9)
+    views = [detection(aspect_deg=aspect, kind_nats=kinds) for _, aspect, kinds in seen]
+    assert agreement_nats(views, [ratio for ratio, *_ in seen]) == pytest.approx(min(total, 3.0 * SAME), abs=1e-9)
 
 
 def test_a_second_view_from_nowhere_known_adds_nothing() -> None:
-    assert fused_ratio([2.0, 1.0], [NAN, 90.0]) == 2.0
+    views = [detection(aspect_deg=aspect, kind_nats=(0.0, -9.0)) for aspect in (NAN, 90.0)]
+    assert agreement_nats(views, [2.0, 1.0]) == 0.0
     seen = [looked_at(2.0, 90.0, shape=like("cylinder")), looked_at(1.0, NAN, 1.0, shape=like("sphere"))]
     assert odds(fuse(seen, PRIOR)) == pytest.approx(PRIOR + 2.0)
 
@@ -298,15 +309,15 @@ def test_views_that_waver_are_fused_without_a_word() -> None:
     verdict = fuse([looked_at(2.0, 0.0), looked_at(-2.0, 90.0, 1.0)], PRIOR)
     assert verdict.reasons == ()
     assert 0.0 < verdict.conflict < 0.9
-    assert odds(verdict) == pytest.approx(PRIOR + 2.0 - 2.0 * NEWS, abs=0.1)
+    assert odds(verdict) == pytest.approx(PRIOR + 2.0, abs=0.1)
 
 
-def test_a_contradiction_in_between_takes_a_little_off_the_better_view() -> None:
+def test_a_contradiction_in_between_leaves_the_better_view() -> None:
     """Neither apart nor agreeing."""
     verdict = fuse([looked_at(5.0, 0.0), looked_at(-5.0, 90.0, 1.0)], PRIOR)
     assert 0.6 < verdict.conflict < 0.9
     assert verdict.reasons == ()
-    assert odds(verdict) == pytest.approx(PRIOR + 5.0 - 5.0 * NEWS, abs=0.1)
+    assert odds(verdict) == pytest.approx(PRIOR + 5.0, abs=0.1)
 
 
 # ---------------------------------------------------------------- no confirmation
@@ -365,7 +376,7 @@ def test_what_is_decided_is_not_looked_at_again() -> None:
         assert fuse([detection(p_mine=p_mine)], PRIOR).next_look_deg == ()
     for p_mine in (0.0125, 0.2, 0.83):
         assert fuse([detection(p_mine=p_mine)], PRIOR).next_look_deg != ()
-    sure = [looked_at(3.0, aspect, aspect) for aspect in (0.0, 60.0, 120.0)]
+    sure = [looked_at(3.0, aspect, aspect, kind_nats=ONE_KIND) for aspect in (0.0, 60.0, 120.0)]
     assert fuse(sure[:1], PRIOR).next_look_deg != ()
     assert fuse(sure, PRIOR).next_look_deg == ()
 
@@ -389,8 +400,7 @@ def test_the_class_reported_follows_shape_once_it_is_a_mine() -> None:
 def test_the_prior_is_in_the_belief_once() -> None:
     """A view whose evidence just makes up for how rare mines are leaves mine and clutter even, be it one view or
     two."""
-    half = -PRIOR / (1.0 + NEWS)
-    for seen in ([looked_at(-PRIOR, 0.0)], [looked_at(half, 0.0), looked_at(half, 90.0, 1.0)]):
+    for seen in ([looked_at(-PRIOR, 0.0)], [looked_at(-PRIOR, 0.0), looked_at(-PRIOR, 90.0, 1.0)]):
         verdict = fuse(seen, PRIOR)
         assert verdict.p_mine == pytest.approx(0.5, abs=1e-2)
         assert verdict.belief["clutter"] == pytest.approx(0.5, abs=1e-2)

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from auv_mcm.classify.beliefs import EVERYTHING, subset, vacuous
-from auv_mcm.classify.fusion import NEWS
+from auv_mcm.classify.fusion import AGREEMENT_NATS
 from auv_mcm.contacts.ledger import Ledger
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import NAN, Confirmation, Contact, ContactClass, Detection, ShapeModel
@@ -347,25 +347,24 @@ def test_covariances_configured_to_nothing_or_to_everything_break_nothing(sigma_
     assert np.hypot(*(place(contact) - [0.0025, 0.0])) < 1e-3
 
 
-def test_views_from_other_directions_add_a_little_and_views_from_the_same_or_the_opposite_do_not() -> None:
-    def fused(aspect_deg: float, p_mine: float = 0.7) -> float:
+def test_views_of_one_kind_from_other_directions_add_evidence_and_views_from_the_same_do_not() -> None:
+    def fused(aspect_deg: float, p_mine: float = 0.7, kind_nats: tuple[float, ...] = (0.0, -50.0)) -> float:
         book = ledger()
-        book.add([view(0.0, 0.0, 100.0, p_mine=0.7, aspect_deg=10.0)])
-        (contact,) = book.add([view(0.0, 0.0, 900.0, p_mine=p_mine, heading_rad=math.pi, aspect_deg=aspect_deg)])
+        book.add([view(0.0, 0.0, 100.0, p_mine=0.7, aspect_deg=10.0, kind_nats=(0.0, -50.0))])
+        turned: dict[str, Any] = {"heading_rad": math.pi, "aspect_deg": aspect_deg, "kind_nats": kind_nats}
+        (contact,) = book.add([view(0.0, 0.0, 900.0, p_mine=p_mine, **turned)])
         return contact.p_mine
 
     def probability(odds: float) -> float:
         return 1.0 / (1.0 + math.exp(-odds))
 
-    odds = math.log(0.7 / 0.3)
-    both = probability((1.0 + NEWS) * odds)
-    assert fused(100.0) == pytest.approx(both, abs=1e-3)
-    assert fused(190.0) == pytest.approx(0.7, abs=1e-3)
+    both = probability(math.log(0.7 / 0.3) + AGREEMENT_NATS[0])
+    assert [fused(100.0), fused(190.0), fused(100.0, 0.3)] == pytest.approx([both] * 3, abs=1e-3)
     assert fused(10.0) == pytest.approx(0.7, abs=1e-3)
-    assert fused(100.0, 0.3) == pytest.approx(probability((1.0 - NEWS) * odds), abs=1e-3)
     across_north = [fused(aspect) for aspect in (8.0, 3.0, 358.0)]
-    assert 0.7 < across_north[0] < across_north[1] < across_north[2] < both
-    assert fused(100.0, 0.001) < 0.5
+    assert 0.69 < across_north[0] < across_north[1] < across_north[2] < both
+    assert fused(100.0, kind_nats=()) == pytest.approx(0.7, abs=1e-3)
+    assert fused(100.0, kind_nats=(-50.0, 0.0)) < 0.15
 
 
 def test_one_view_is_reported_as_it_is() -> None:

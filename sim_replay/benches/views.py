@@ -1,0 +1,168 @@
+"""Measure what further views of a contact bring: missions flown along their legs, then across them.
+
+auv-mcm bench views                               flies, judges and prints
+
+Contacts are those of the whole mission; each arm fuses some of their views alone. Pd is at the threshold that gives the
+false alarms not on objects, or on anything but mines.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Final, NamedTuple
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm.chain_models import read_models
+from auv_mcm.classify.fusion import fuse
+from auv_mcm.detect.belief import odds_of
+from auv_mcm.geometry.geodesy import LocalFrame
+from auv_mcm.pipeline import Pipeline
+from auv_mcm.records import Detection
+from sim_replay.benches.experiment import Cell, Column, Experiment, PairedColumn, Task, share
+from sim_replay.flights import fly_through
+from sim_replay.missions import FIRST_SEED, config_for
+from sim_replay.scoring.inputs import parse_truth
+from sim_replay.scoring.intervals import proportion
+from sim_replay.scoring.score import GATE_M
+from sim_replay.scoring.thresholds import threshold_at
+from sim_replay.simulator.mission import Mission
+from sim_replay.simulator.plan import Leg, local_frame, planned_legs
+from sim_replay.simulator.scene import Lawnmower, Scene
+from sim_replay.simulator.scene_file import read_scene
+
+Views = Sequence[Detection]
+_NEVER: Final = -np.inf  # log-odds of what has no contact
+_REACH_M: Final = 40.0  # that crossing legs go beyond the outermost leg
+
+
+class SeenObjects(NamedTuple):
+    """Hold the log-odds of a mission's contacts: the best on each mine and each rock, and of all that are on no object,
+    or on another one."""
+
+    mines: NDArray[np.float64]
+    rocks: NDArray[np.float64]
+    floor: NDArray[np.float64]
+    others: NDArray[np.float64]
+    area_km2: float
+
+
+ARMS: Final[dict[str, Callable[[Views, Views], Views]]] = {
+    "first view": lambda along, across: along[:1],
+    "along": lambda along, across: along,
+    "first view, and one across": lambda along, across: [*along[:1], *across[:1]],
+    "along and across": lambda along, across: [*along, *across],
+    "the best of these alone": lambda along, across: sorted([*along, *across], key=lambda view: -view.p_mine)[:1],
+}
+"""Views that are fused, of those from legs along and across, in order of time."""
+
+
+def fly(task: Task) -> dict[str, SeenObjects]:
+    """Fly a named scene both ways and sort its contacts by what they lie on, for each arm."""
+    scene = msgspec.structs.replace(read_scene(task.scene), seed=task.seed)
+    mission, config = Mission(scene), config_for(scene)
+    legs = both_ways(scene)
+    mission.follow(legs)
+    pipeline = Pipeline(config)
+    fly_through(mission.events(), {"": pipeline})
+    truth, models = parse_truth(mission.truth(), task.scene), read_models(config)[0]
+    frame = local_frame(scene.origin)
+    objects = np.array([_place(frame, one.latitude_deg, one.longitude_deg) for one in truth.objects]).reshape(-1, 2)
+    sorted_views = []
+    for contact in pipeline.contacts:
+        apart_m = np.hypot(*(objects - _place(frame, contact.latitude_deg, contact.longitude_deg)).T)
+        nearest = int(apart_m.argmin()) if apart_m.size and apart_m.min() <= GATE_M else -1
+        turned = [math.cos(math.radians(view.aspect_deg) - legs[0].direction_rad) for view in contact.views]
+        along, across = (
+            [view for view, cosine in zip(contact.views, turned, strict=True) if (abs(cosine) < 0.5) is is_along]
+            for is_along in (True, False)
+        )
+        sorted_views.append((nearest, along, across))
+    kinds = [one.kind if not one.is_target else "mine" for one in truth.objects]
+    found = {}
+    for name, arm in ARMS.items():
+        best = np.full(len(kinds), _NEVER)
+        floor = []
+        for nearest, along, across in sorted_views:
+            if views := arm(along, across):
+                log_odds = odds_of(fuse(views, models.odds.prior).p_mine)
+                if nearest < 0:
+                    floor.append(log_odds)
+                else:
+                    best[nearest] = max(best[nearest], log_odds)
+        mines, rocks = (best[[kind == wanted for kind in kinds]] for wanted in ("mine", "rock"))
+        others = best[[kind != "mine" for kind in kinds]]
+        found[name] = SeenObjects(mines, rocks, np.array(floor), others[others > _NEVER], float(truth.area_km2 or 0.0))
+    return found
+
+
+def both_ways(scene: Scene) -> list[Leg]:
+    """Lay the legs of a scene's lawnmower, then as many as it takes across them."""
+    plan = scene.track.plan
+    assert isinstance(plan, Lawnmower)
+    legs = list(planned_legs(plan))
+    n_across = max(round(plan.leg_m / plan.spacing_m), 1)
+    ends_m = (-_REACH_M, (plan.n_legs - 1) * plan.spacing_m + _REACH_M)
+    for number in range(n_across):
+        start_m, end_m = ends_m if number % 2 else ends_m[::-1]
+        along_m = (number + 0.5) * plan.leg_m / n_across
+        direction = legs[0].direction_rad + math.copysign(0.5 * math.pi, end_m - start_m)
+        legs.append(Leg(*legs[0].at(along_m, start_m), direction, abs(end_m - start_m)))
+    return legs
+
+
+def _place(frame: LocalFrame, latitude_deg: float, longitude_deg: float) -> NDArray[np.float64]:
+    return frame.to_enu(latitude_deg, longitude_deg, 0.0)[:2]
+
+
+def _pooled(missions: Sequence[SeenObjects], part: str) -> NDArray[np.float64]:
+    return np.concatenate([getattr(one, part) for one in missions])
+
+
+def _n_found(missions: Sequence[SeenObjects], limit_per_km2: float, parts: Sequence[str]) -> int:
+    n_allowed = limit_per_km2 * sum(one.area_km2 for one in missions)
+    above = threshold_at(np.concatenate([_pooled(missions, part) for part in parts]), n_allowed)
+    return int(np.count_nonzero(_pooled(missions, "mines") > above))
+
+
+def _pd(missions: Sequence[SeenObjects], limit_per_km2: float, parts: Sequence[str]) -> Cell:
+    return share(proportion(_n_found(missions, limit_per_km2, parts), len(_pooled(missions, "mines"))))
+
+
+def _rocks_called(missions: Sequence[SeenObjects], pd: float) -> Cell:
+    mines, rocks = np.sort(_pooled(missions, "mines"))[::-1], _pooled(missions, "rocks")
+    least = mines[max(math.ceil(pd * len(mines)) - 1, 0)]
+    return share(proportion(int(np.count_nonzero((rocks >= least) & (rocks > _NEVER))), len(rocks)))
+
+
+def _gain(missions: Sequence[SeenObjects]) -> float:
+    return _n_found(missions, 100.0, ("floor", "others")) / max(len(_pooled(missions, "mines")), 1)
+
+
+_NOT_ON_OBJECTS: Final = ("floor",)
+EXPERIMENT: Final = Experiment(
+    name="views",
+    scenes=("flat", "ripple", "mixed", "rough"),
+    first_seed=FIRST_SEED + 400,
+    n_seeds=3,
+    variant_title="views",
+    variants=tuple(ARMS),
+    fly=fly,
+    columns=(
+        *(
+            Column(f"Pd at {limit:g} FA/km²", partial(_pd, limit_per_km2=limit, parts=_NOT_ON_OBJECTS))
+            for limit in (10.0, 30.0, 100.0)
+        ),
+        *(
+            Column(f"at {limit:g}, objects counted", partial(_pd, limit_per_km2=limit, parts=("floor", "others")))
+            for limit in (100.0, 300.0)
+        ),
+        PairedColumn("more at 100, objects counted", _gain),
+        *(Column(f"rocks called at Pd {pd:g}", partial(_rocks_called, pd=pd)) for pd in (0.7, 0.8)),
+    ),
+    by_scene=False,
+)
