@@ -41,8 +41,11 @@ _REACH_M: Final = 40.0  # that crossing legs go beyond the outermost leg
 
 
 class SeenObjects(NamedTuple):
-    """Hold the log-odds of a mission's contacts: the best on each mine and each rock, and of all that are on no object,
-    or on another one."""
+    """Hold the log-odds of a mission's contacts.
+
+    mines, rocks: the best on each, _NEVER where there is none. floor: of contacts on no object; others: the best on
+    each object that is no mine.
+    """
 
     mines: NDArray[np.float64]
     rocks: NDArray[np.float64]
