@@ -14,7 +14,7 @@ import functools
 import math
 from collections.abc import Mapping, Sequence
 from importlib import resources
-from typing import Annotated, Final, NamedTuple, TypeAlias
+from typing import Annotated, Any, Final, NamedTuple, TypeAlias
 
 import msgspec
 import numpy as np
@@ -176,28 +176,6 @@ class Verification(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         )
 
 
-class FoundAt(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Hold the share of looks at targets that is found at a density of false alarms, with its 95 % interval."""
-
-    false_alarms_per_km2: float
-    pd: _Share
-    low: _Share
-    high: _Share
-
-
-class LeftOut(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Say how weights do that were fitted likewise, but without a domain, on that domain.
-
-    n_looks: at targets. calibration_error: expected, over all looks; None without any.
-    """
-
-    domain: str
-    n_looks: Annotated[int, msgspec.Meta(ge=0)]
-    area_km2: Annotated[float, msgspec.Meta(ge=0.0)]
-    found: tuple[FoundAt, ...]
-    calibration_error: _Share | None
-
-
 class Recalibration(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Say how weights were changed by verdicts of people: log-odds became offset_nats + slope * log-odds.
 
@@ -222,7 +200,7 @@ class MineOdds(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     """Hold the weights of each step.
 
     prior: log-odds of a mine among the detections they were fitted on. fitted_on: what those were. made_by: version and
-    command that make the same file again. left_out: a row per domain, then per kind of domain, then of all.
+    command that make the same file again. left_out: of files of earlier versions; nothing reads it.
     recalibrated: None for weights that no verdict has changed. verifier: decides in place of contours and shape, which
     are not read then; None where those decide. fitted_for: whose detections, None for the weights that ship.
     """
@@ -233,7 +211,7 @@ class MineOdds(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     detector: Weights
     contours: Weights | None = None
     shape: Weights | None = None
-    left_out: tuple[LeftOut, ...] = ()
+    left_out: tuple[Any, ...] = ()
     recalibrated: Recalibration | None = None
     verifier: Verification | None = None
     fitted_for: Detector | None = None

@@ -32,7 +32,6 @@ from auv_mcm.contacts.background import (
 from auv_mcm.detect.belief import probability
 from sim_replay.benches.experiment import Cell, Column, Experiment, Task, density, number, share
 from sim_replay.fitting.fit_background import SortedContacts, flown_along, flown_scene
-from sim_replay.fitting.left_out import LIMITS_PER_KM2
 from sim_replay.fitting.recorders import RECORDED_SCENES, RECORDERS, recorded_by
 from sim_replay.missions import FIRST_SEED, SCENES
 from sim_replay.scoring.calibration import Calibration, calibration
@@ -42,6 +41,8 @@ from sim_replay.scoring.thresholds import threshold_at
 from sim_replay.simulator.scene_file import named_scenes, read_scene
 from sim_replay.text_tables import NOTHING, columns, share_cell
 
+LIMITS_PER_KM2: Final = (10.0, 100.0, 300.0)
+"""False alarms per km² at which Pd is compared."""
 FIXED_P_MINE: Final = 0.2  # what a fixed threshold reaches, which the operating point replaces
 
 

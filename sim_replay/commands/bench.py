@@ -45,7 +45,7 @@ that says how to run them."""
 INSTEAD: Final = {
     "cascade": "bench all --stages cascade", "confirmation": "bench all --stages field,contours,solids",
     "framers": "bench all --stages framers", "froc": "bench domains --log LOG",
-    "left-out": "calibrate odds --judged 1 --judge-log LINE.xtf", "performance": "bench clearance",
+    "left-out": "calibrate verifier", "performance": "bench clearance",
     "point": "bench domains", "scenes": "bench domains",
     "segmentation": "bench all --stages field", "shapes": "bench all --stages solids",
     "simulate": "bench all --stages simulator", "snakes": "bench all --stages contours",

@@ -132,9 +132,6 @@ def _run_odds(arguments: argparse.Namespace, show: Show) -> int:
         n_crowded=arguments.crowded or 0,
         n_drawn=arguments.drawn or 0,
         first_seed=arguments.first_seed,
-        n_judged=arguments.judged or 0,
-        judged_logs=tuple(arguments.judge_log),
-        n_log_seeds=arguments.log_seeds,
         theatre=_theatre_of(arguments).before_odds(),
     )
     fit_from_missions(arguments.out, missions, arguments.looks, arguments.workers, show)
@@ -301,14 +298,12 @@ FITS: Final = (
         "that ship were fitted so",
         "learn the odds of a mine from what confirmation measures",
         "Flies simulated missions, and fits the weights that turn measurements into p_mine; beside those of the "
-        "cascade it weighs the verifier that ships. With --judged, prints how weights fitted likewise do, before the "
-        "verifier, on scenes, recorders and recorded lines left out, and writes that into the file too. The same "
-        "options make the same weights. --verdicts recalibrates those that ship instead, and refuses where missions "
-        "left out gain nothing.",
+        "cascade it weighs the verifier that ships. The same options make the same weights. --verdicts recalibrates "
+        "those that ship instead, and refuses where missions left out gain nothing.",
         (
             "auv-mcm calibrate odds --out odds.json",
             "auv-mcm calibrate odds --detector contrast --seeds 8 --crowded 5 --out odds.json",
-            "auv-mcm calibrate odds --crowded 4 --drawn 60 --judged 1 --looks looks --out odds.json",
+            "auv-mcm calibrate odds --crowded 4 --drawn 60 --looks looks --out odds.json",
             "auv-mcm calibrate odds --verdicts monday tuesday wednesday --out recalibrated.json",
         ),
         (
@@ -335,16 +330,6 @@ FITS: Final = (
                 "where there is room",
             ),
             _number("--first-seed", "seed of each scene's first mission", 500),
-            _number("--judged", "missions per scene and kind of recorder that are judged and never fitted on"),
-            _option(
-                "--judge-log",
-                type=Path,
-                action="append",
-                default=[],
-                metavar="FILE",
-                help="a recorded line, XTF, that is judged with embedded targets and never fitted on; repeatable",
-            ),
-            _option("--log-seeds", type=count, default=7, help="draws of targets per recorded line (default 7)"),
             _option(
                 "--looks",
                 type=Path,

@@ -1,10 +1,9 @@
-"""Make the odds of a mine from missions, for `auv-mcm calibrate odds`: fly, fit, and judge on domains left out.
+"""Make the odds of a mine from missions, for `auv-mcm calibrate odds`: fly and fit.
 
 Missions of the named scenes, with seeds that nothing is scored on, give detections whose truth is known. Each detector
 has weights of its own, those of the trained cascade without the scenes that are held out from its training. Crowded
 missions are flown over other floors with more mines and stones, since these are hardest to separate; missions of the
-wide world are drawn at random. Missions with as many objects as usual give the rarity of mines. Further missions, and
-recorded lines with embedded targets, are judged alone: each by weights fitted likewise without its domain.
+wide world are drawn at random. Missions with as many objects as usual give the rarity of mines.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import msgspec
 
@@ -22,35 +21,21 @@ from auv_mcm.classify.verifier import shipped_network
 from auv_mcm.errors import UsageError
 from auv_mcm.records import Detector
 from auv_mcm.shell.whole_files import make_directory, write_file
-from sim_replay.augment.recorded_line import check_lines
 from sim_replay.fitting.cascade.farm import Farm
 from sim_replay.fitting.fit_odds import CROWD, CROWD_SEEDS, DRAWN_SEEDS, N_TREES, fit_table, written
 from sim_replay.fitting.fit_odds import FIRST_SEED as FITTED_SEED
-from sim_replay.fitting.left_out import FIRST_SEED as JUDGED_SEED
-from sim_replay.fitting.left_out import (
-    dealt,
-    groups_of,
-    left_out_rows,
-    left_out_scores,
-    left_out_table,
-    left_out_tasks,
-)
 from sim_replay.fitting.looks import DRAWN, LookTask, MissionLooks, all_looks, pooled
 from sim_replay.fitting.theatre import USUAL, Theatre
 from sim_replay.fitting.verifier.mill import fly_all
 from sim_replay.fitting.verifier.weigh import looks_of, weighed
-from sim_replay.missions import HELD_OUT, SCENES
-
-_FOLDS: Final = 6  # parts that the domains are dealt into: two or three domains are left out at a time
+from sim_replay.missions import SCENES
 
 
 class Missions(NamedTuple):
-    """Say what weights are fitted and judged on.
+    """Say what weights are fitted on.
 
     detector: whose detections to weigh. n_seeds: missions per scene, from `first_seed` on. n_crowded: further ones with
-    CROWD times as many mines and rocks. n_drawn: missions of the wide world. n_judged: missions per scene and kind of
-    recorder that are judged and not fitted on; without any, and without a log, nothing is judged. judged_logs: recorded
-    lines that are judged, each with `n_log_seeds` draws of targets. theatre: what is flown and fitted on.
+    CROWD times as many mines and rocks. n_drawn: missions of the wide world. theatre: what is flown and fitted on.
     """
 
     detector: Detector = "cascade"
@@ -58,19 +43,14 @@ class Missions(NamedTuple):
     n_crowded: int = 0
     n_drawn: int = 0
     first_seed: int = FITTED_SEED
-    n_judged: int = 0
-    judged_logs: tuple[Path, ...] = ()
-    n_log_seeds: int = 7
     theatre: Theatre = USUAL
 
     @property
     def command(self) -> str:
         """Return the command that makes the same weights, but for its --out."""
         words = ["auv-mcm calibrate odds", f"--detector {self.detector}", f"--seeds {self.n_seeds}"]
-        options = {"crowded": self.n_crowded, "drawn": self.n_drawn, "judged": self.n_judged}
+        options = {"crowded": self.n_crowded, "drawn": self.n_drawn}
         words += [f"--{name} {n}" for name, n in options.items() if n]
-        words += [f"--judge-log {log.name}" for log in self.judged_logs]
-        words += [f"--log-seeds {self.n_log_seeds}"] if self.judged_logs else []
         return " ".join([*words, f"--first-seed {self.first_seed}", self.theatre.options]).strip()
 
     @property
@@ -89,11 +69,6 @@ class Missions(NamedTuple):
         first = self.first_seed + max(CROWD_SEEDS, self.n_seeds)
         return range(first, first + self.n_crowded)
 
-    @property
-    def log_seeds(self) -> range:
-        """Return the seeds of what is embedded in recorded lines."""
-        return range(JUDGED_SEED, JUDGED_SEED + self.n_log_seeds)
-
     def fitted_tasks(self) -> list[LookTask]:
         """List the missions that are fitted on."""
         tasks = [LookTask(name, seed) for seed in self.seeds for name in self.scenes]
@@ -101,11 +76,6 @@ class Missions(NamedTuple):
         first = self.first_seed + DRAWN_SEEDS
         tasks += [LookTask(DRAWN, seed) for seed in range(first, first + self.n_drawn)]
         tasks += [LookTask(folder, 0) for folder in self.theatre.lines_of("validate")]
-        return [task._replace(detector=self.detector, theatre=self.theatre) for task in tasks]
-
-    def judged_tasks(self) -> list[LookTask]:
-        """List the missions that are judged and not fitted on."""
-        tasks = left_out_tasks(SCENES, self.n_judged, self.judged_logs, self.n_log_seeds)
         return [task._replace(detector=self.detector, theatre=self.theatre) for task in tasks]
 
 
@@ -117,8 +87,6 @@ def fit_from_missions(
     show: Callable[[int, int], None] = lambda done, of: None,
 ) -> None:
     """Fly missions, fit the weights to what became of their detections, and write them to `out`, JSON.
-
-    Prints how weights fitted likewise do on the domains that they were fitted without.
 
     Parameters
     ----------
@@ -132,33 +100,24 @@ def fit_from_missions(
     Raises
     ------
     UsageError
-        For an `out` that cannot be written, before any work, for a line without room for a seed's objects, and if there
-        are no targets among the detections.
-    BadInputError
-        For an unreadable log.
+        For an `out` that cannot be written, before any work, and if there are no targets among the detections.
     """
     if not out.parent.is_dir():
         raise UsageError(f"--out {out}: there is no folder {out.parent}. Make it first")
     if out.is_dir():
         raise UsageError(f"--out {out} cannot be written: it is a folder. Name a file")
     make_directory(out.parent)
-    check_lines(missions.judged_logs, missions.log_seeds)
-    fitted, judged = missions.fitted_tasks(), missions.judged_tasks()
+    fitted = missions.fitted_tasks()
     with tempfile.TemporaryDirectory() as folder:
         farm = Farm(n_workers)
-        flown = all_looks([*judged, *fitted], looks or Path(folder), farm, show)
-        odds = fitted_odds(missions, flown[len(judged) :])
+        odds = fitted_odds(missions, all_looks(fitted, looks or Path(folder), farm, show))
         if missions.detector == "cascade":
             odds = beside_network(odds, fitted, (looks or Path(folder)) / "verifier", farm, show)
-    if judged:
-        odds = judged_on_left_out(odds, missions.detector, flown, frozenset(judged))
     try:
         write_file(out, written(odds))
     except OSError as error:
         raise UsageError(f"--out {out} cannot be written: {error.strerror}") from error
     print(odds.fitted_on)
-    if odds.left_out:
-        print(left_out_table(odds))
 
 
 def fitted_odds(missions: Missions, flown: Sequence[MissionLooks]) -> MineOdds:
@@ -193,15 +152,3 @@ def n_trees_of(detector: Detector) -> int:
     Contrasts serve sonars unlike those simulated, where trees that have learnt simulated ones do worse than sums.
     """
     return N_TREES if detector == "cascade" else 0
-
-
-def judged_on_left_out(
-    odds: MineOdds, detector: Detector, flown: Sequence[MissionLooks], judged: frozenset[LookTask]
-) -> MineOdds:
-    """Add how weights fitted likewise do on each domain that they are fitted without.
-
-    judged: of the missions flown, those that are never fitted on. Others are judged too where their domain is left out.
-    """
-    held_out = HELD_OUT if detector == "cascade" else frozenset[str]()
-    scores = left_out_scores(flown, held_out, dealt(flown, _FOLDS), n_trees_of(detector), judged)
-    return msgspec.structs.replace(odds, left_out=left_out_rows(scores, groups_of(flown)))

@@ -63,8 +63,7 @@ class Example(NamedTuple):
     """Hold a detection with the measurements of every step, and its label.
 
     details: of the detector, what only trees weigh. contours, shape: empty for detections of the cascade. weight: how
-    many it stands for. usual: of a mission with as many objects as its
-    scene has, so that it shows how rare mines are. on_object: on an object of the truth, target or not.
+    many it stands for. usual: of a mission with as many objects as its scene has, so that it shows how rare mines are.
     """
 
     usual: bool
@@ -74,7 +73,6 @@ class Example(NamedTuple):
     contours: Features
     shape: Features
     details: Features
-    on_object: bool = False
 
 
 class StepTable(NamedTuple):
@@ -90,21 +88,19 @@ class LookTable(NamedTuple):
 
     usual: NDArray[np.bool_]
     is_target: NDArray[np.bool_]
-    on_object: NDArray[np.bool_]
     weight: Array
     steps: Mapping[MeasuredStep, StepTable]
 
     def at(self, chosen: NDArray[np.bool_]) -> LookTable:
         """Take the chosen examples, (n,) bool."""
         steps = {step: table._replace(values=table.values[chosen]) for step, table in self.steps.items()}
-        return LookTable(self.usual[chosen], self.is_target[chosen], self.on_object[chosen], self.weight[chosen], steps)
+        return LookTable(self.usual[chosen], self.is_target[chosen], self.weight[chosen], steps)
 
 
 class Label(NamedTuple):
     """Hold what a detection is by the truth; fields as in Example."""
 
     is_target: bool
-    on_object: bool
     weight: float
     nearest: int  # object
 
@@ -167,7 +163,7 @@ def examples_along(
             looked = examine(detection, region, None, 0.0)
             contours, shape = looked.contour_features, looked.features
         measured = detector_features(detection), contours, shape, detection_details(detection)
-        examples.append(Example(usual, known.is_target, known.weight, *measured, known.on_object))
+        examples.append(Example(usual, known.is_target, known.weight, *measured))
     return examples
 
 
@@ -211,12 +207,11 @@ def _all_detections(config: Config, events: Iterable[SourceEvent]) -> list[Detec
 
 def look_table(examples: Sequence[Example]) -> LookTable:
     """Lay examples out as arrays."""
-    usual, is_target, on_object = (
-        np.array([getattr(example, name) for example in examples], dtype=np.bool_)
-        for name in ("usual", "is_target", "on_object")
+    usual, is_target = (
+        np.array([getattr(example, name) for example in examples], dtype=np.bool_) for name in ("usual", "is_target")
     )
     weight = np.array([example.weight for example in examples])
-    return LookTable(usual, is_target, on_object, weight, {step: _step_table(examples, step) for step in STEPS})
+    return LookTable(usual, is_target, weight, {step: _step_table(examples, step) for step in STEPS})
 
 
 def _step_table(examples: Sequence[Example], step: MeasuredStep) -> StepTable:
@@ -237,7 +232,7 @@ def fit_table(looks: LookTable, fitted_on: str, n_trees: int = 0) -> MineOdds:
 
     Odds of trees have to get a verifier. Raises UsageError if there are no targets, or nothing else, among those.
     """
-    usual, is_target, _, weight, _ = looks
+    usual, is_target, weight, _ = looks
     if not is_target[usual].any() or is_target[usual].all():
         n_targets, n_usual = np.count_nonzero(is_target & usual), np.count_nonzero(usual)
         raise UsageError(f"{fitted_on}: {n_targets} targets in {n_usual} detections. Fly more missions, with --seeds")
@@ -251,7 +246,7 @@ def fit_step(looks: LookTable, step: MeasuredStep, n_trees: int, usual: LookTabl
 
     Trees start from a constant: after a sum, Pd at 100 false alarms per km² is lower by 0.02 on domains left out.
     """
-    _, is_target, _, weight, tables = looks
+    _, is_target, weight, tables = looks
     table = tables[step]
     if n_trees:
         offset = math.log(float(weight[is_target].sum()) / float(weight[~is_target].sum()))
@@ -268,9 +263,6 @@ def written(odds: MineOdds) -> bytes:
     entries: dict[str, Any] = {"fitted_on": odds.fitted_on, "made_by": odds.made_by, "prior": odds.prior}
     entries |= {"fitted_for": odds.fitted_for} if odds.fitted_for else {}
     parts = [f' "{name}": {json.dumps(value)}' for name, value in entries.items()]
-    if odds.left_out:
-        rows = ",\n".join(f"  {msgspec.json.encode(row).decode()}" for row in odds.left_out)
-        parts.append(f' "left_out": [\n{rows}\n ]')
     if odds.recalibrated is not None:
         parts.append(f' "recalibrated": {msgspec.json.encode(odds.recalibrated).decode()}')
     if odds.verifier is not None:
@@ -328,7 +320,7 @@ def _labels_of(detections: Sequence[Detection], objects: Sequence[dict[str, Any]
             labels.append(None)
             continue
         is_target = stands and bool(objects[int(nearest[index])]["is_target"])
-        labels.append(Label(is_target, stands, float(_FAINT_KEPT) if thins else 1.0, int(nearest[index])))
+        labels.append(Label(is_target, float(_FAINT_KEPT) if thins else 1.0, int(nearest[index])))
     return labels
 
 

@@ -70,15 +70,9 @@ class LookTask(NamedTuple):
 
 
 class MissionLooks(NamedTuple):
-    """Hold the looks of one mission.
-
-    law: how samples are stored, as scenes name it. n_targets: passes that saw a target. area_km2: seen by the mission.
-    """
+    """Hold the looks of one mission."""
 
     task: LookTask
-    law: str
-    n_targets: int
-    area_km2: float
     looks: LookTable
 
 
@@ -109,9 +103,7 @@ def fly_looks(task: LookTask) -> MissionLooks:
     with flight_of(task) as flight:
         usual = task.times == 1 and task.source != DRAWN and not Path(task.source).is_dir()
         examples = examples_along(flight.config, flight.events, flight.objects, usual=usual, detector=task.detector)
-        truth = flight.truth()
-    n_targets = sum(len(one["looks"]) for one in truth["objects"] if one["is_target"])
-    return MissionLooks(task, flight.law, n_targets, float(truth["area_km2"]), look_table(examples))
+    return MissionLooks(task, look_table(examples))
 
 
 @contextmanager
@@ -140,14 +132,7 @@ def write_looks(mission: MissionLooks, folder: Path) -> None:
     n_summed = [mission.looks.steps[step].n_summed for step in STEPS]
     unfinished = place.with_suffix(".part")
     with unfinished.open("wb") as file:
-        np.savez_compressed(
-            file,
-            law=mission.law,
-            n_targets=mission.n_targets,
-            area_km2=mission.area_km2,
-            n_summed=n_summed,
-            **arrays,
-        )
+        np.savez_compressed(file, n_summed=n_summed, **arrays)
     os.replace(unfinished, place)
 
 
@@ -160,25 +145,24 @@ def read_looks(task: LookTask, folder: Path) -> MissionLooks:
                 step: StepTable(tuple(stored[f"{step}_names"].tolist()), int(n), stored[f"{step}_values"])
                 for step, n in zip(STEPS, stored["n_summed"], strict=True)
             }
-            usual, is_target, on_object, weight = (stored[name] for name in _ROWS)
-            looks = LookTable(usual, is_target, on_object, weight, steps)
-            return MissionLooks(task, str(stored["law"]), int(stored["n_targets"]), float(stored["area_km2"]), looks)
+            usual, is_target, weight = (stored[name] for name in _ROWS)
+            return MissionLooks(task, LookTable(usual, is_target, weight, steps))
     except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
         raise BadInputError(f"{place} holds no looks: {error}. Remove it, and it is flown anew") from error
 
 
-_ROWS: Final = ("usual", "is_target", "on_object", "weight")
+_ROWS: Final = ("usual", "is_target", "weight")
 
 
 def pooled(missions: Sequence[MissionLooks]) -> LookTable:
     """Join the looks of missions, of which at least one has any."""
     some = [mission.looks for mission in missions if len(mission.looks.weight)]
-    usual, is_target, on_object, weight = (np.concatenate([getattr(one, name) for one in some]) for name in _ROWS)
+    usual, is_target, weight = (np.concatenate([getattr(one, name) for one in some]) for name in _ROWS)
     steps = {}
     for step in STEPS:
         first = some[0].steps[step]
         steps[step] = first._replace(values=np.concatenate([one.steps[step].values for one in some]))
-    return LookTable(usual, is_target, on_object, weight, steps)
+    return LookTable(usual, is_target, weight, steps)
 
 
 def place_of(folder: Path, task: LookTask) -> Path:

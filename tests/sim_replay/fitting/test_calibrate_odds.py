@@ -14,11 +14,8 @@ from auv_mcm.classify.odds import MineOdds, parse_odds, shipped_odds
 from auv_mcm.cli import main
 from auv_mcm.records import Detector
 from sim_replay.fitting import calibrate_odds, looks
-from sim_replay.fitting.calibrate_odds import Missions
 from sim_replay.fitting.fit_odds import CROWD, FIRST_SEED, STEPS, LookTable, StepTable
-from sim_replay.fitting.left_out import FIRST_SEED as JUDGED_SEED
 from sim_replay.fitting.looks import DRAWN, LookTask, MissionLooks
-from sim_replay.fitting.recorders import RECORDERS
 from sim_replay.missions import HELD_OUT, SCENES
 
 N_LOOKS = 80
@@ -40,8 +37,8 @@ class Flown:
         is_target &= self.has_targets
         usual = np.full(N_LOOKS, task.times == 1 and task.source != DRAWN)
         steps = dict.fromkeys(STEPS, StepTable(("a", "b"), 2, values))
-        table = LookTable(usual, is_target, is_target, np.ones(N_LOOKS), steps)
-        return MissionLooks(task, "amplitude_uint16", int(is_target.sum()), 0.05, table)
+        table = LookTable(usual, is_target, np.ones(N_LOOKS), steps)
+        return MissionLooks(task, table)
 
 
 @pytest.fixture
@@ -79,7 +76,6 @@ def test_every_scene_is_flown_with_every_seed_and_weights_are_written(
         assert (odds.contours, odds.shape) == (None, None)
         assert odds.verifier is not None
     assert len(odds.detector.trees) == (2 if detector == "cascade" else 0)
-    assert odds.left_out == ()
 
 
 def test_crowded_and_drawn_missions_are_flown_over_other_floors_and_teach_no_rarity(
@@ -97,30 +93,6 @@ def test_crowded_and_drawn_missions_are_flown_over_other_floors_and_teach_no_rar
     assert odds.prior == plain.prior
 
 
-def test_domains_left_out_are_judged_and_written_with_the_weights(
-    flown: Flown, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    plain = fitted(tmp_path / "plain.json", "--seeds", "1")
-    odds = fitted(tmp_path / "odds.json", "--seeds", "1", "--judged", "1")
-    assert odds.detector == plain.detector, "judged missions are not fitted on"
-    names = [row.domain for row in odds.left_out]
-    assert names == [*SCENES, *RECORDERS, "all scenes", "all recorders", "all domains"]
-    printed = capsys.readouterr().out
-    assert all(name in printed for name in names)
-    rows = {row.domain: row for row in odds.left_out}
-    seeds = {task.source: set[int]() for task in flown.missions}
-    for task in flown.missions[len(SCENES) - len(HELD_OUT) :]:
-        if task.recorder is None:
-            seeds[task.source].add(task.seed)
-    assert seeds["flat"] == {FIRST_SEED, JUDGED_SEED}
-    assert seeds["seagrass"] == {JUDGED_SEED}
-    assert rows["all scenes"].n_looks == sum(rows[name].n_looks for name in SCENES)
-    for row in odds.left_out:
-        assert [at.false_alarms_per_km2 for at in row.found] == [10.0, 100.0, 300.0]
-        assert all(at.low <= at.pd <= at.high for at in row.found)
-        assert row.calibration_error is not None
-
-
 def test_what_is_written_names_the_command_that_makes_it_again(flown: Flown, tmp_path: Path) -> None:
     odds = fitted(tmp_path / "odds.json", "--seeds", "1", "--drawn", "2")
     command = odds.made_by.partition(", ")[2].split()
@@ -136,12 +108,6 @@ def test_missions_in_the_folder_are_not_flown_again(flown: Flown, tmp_path: Path
     again = fitted(tmp_path / "again.json", *options)
     assert len(flown.missions) == n
     assert again == first
-
-
-def test_recorded_lines_are_judged_and_named_in_the_command(tmp_path: Path) -> None:
-    missions = Missions(judged_logs=(tmp_path / "reef.xtf",), n_log_seeds=2)
-    assert missions.judged_tasks() == [LookTask(str(tmp_path / "reef.xtf"), JUDGED_SEED + k) for k in (0, 1)]
-    assert "--judge-log reef.xtf --log-seeds 2" in missions.command
 
 
 @pytest.mark.parametrize(
