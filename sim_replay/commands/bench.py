@@ -22,7 +22,7 @@ BENCHES: Final = {  # modules of sim_replay with EXPERIMENT, or add_arguments an
     "clearance": ("benches.clearance", "mines left, estimated against true"),
     "views": ("benches.views", "what further views of a contact bring, missions flown along and across"),
     "domains": ("benches.domains", "p_mine on whole domains: Pd at given false alarms, and calibration"),
-    "view": ("benches.view", "whole missions judged in a browser, and heights measured there; makes the screenshots"),
+    "view": ("benches.view", "screenshots and film of the documentation, taken in a browser"),
 }
 
 _BENCHES_PAGE: Final = "docs/results.md, 'Finished benches',"
