@@ -174,22 +174,6 @@ def written_as_onnx(network: Any) -> bytes:
     return file.getvalue()
 
 
-def scores_of(network: Any, chips: ChipTable) -> NDArray[np.float64]:
-    """Score chips by PyTorch, (n, len(CLASSES))."""
-    torch = _torch()
-    found = []
-    with torch.no_grad():
-        for first in range(0, len(chips.label), 512):
-            part = chips.at(np.arange(first, min(first + 512, len(chips.label))))
-            inputs = [
-                torch.from_numpy(part.metres[:, None].astype(np.float32)),
-                torch.from_numpy(part.heights[:, None].astype(np.float32)),
-                torch.from_numpy(part.place),
-            ]
-            found.append(network(*inputs).numpy().astype(np.float64))
-    return np.concatenate(found) if found else np.empty((0, len(CLASSES)))
-
-
 def varied(
     chips: ChipTable, random: np.random.Generator
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
