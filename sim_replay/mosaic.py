@@ -240,18 +240,18 @@ class Mosaic:
             east_m, north_m = self._projection.project(placed.longitude_deg, placed.latitude_deg)
             right = (east_m - self._origin_deg[0]) / self._step_deg[0]
             down = (self._origin_deg[1] - north_m) / self._step_deg[1]
-        columns, rows = np.floor(right).astype(np.int64), np.floor(down).astype(np.int64)
-        left, top = int(columns.min()), int(rows.min())
-        width, height = int(columns.max()) - left + 1, int(rows.max()) - top + 1
-        n_rows = len(columns)
+        right, down = np.floor(right, out=right), np.floor(down, out=down)
+        left, top = int(right.min()), int(down.min())
+        width, height = int(right.max()) - left + 1, int(down.max()) - top + 1
+        n_rows = len(right)
         if width * height > _MAX_SPREAD and n_rows > 1:
             self._draw(placed.part(slice(0, n_rows // 2)))
             self._draw(placed.part(slice(n_rows // 2, n_rows)))
             return
-        index = ((rows - top) * width + (columns - left)).ravel()
-        weight = placed.weight.ravel()
+        index = ((down - top) * width + (right - left)).astype(np.intp).ravel()
+        variance = [placed.weight * placed.variance_m2] if self._n_sums > 2 else []
         sums = np.zeros((3, height, width), dtype=np.float32)
-        for number, values in enumerate((weight, placed.weighted, placed.weight * placed.variance_m2)[: self._n_sums]):
+        for number, values in enumerate((placed.weight, placed.weighted, *variance)):
             sums[number] = np.bincount(index, values.ravel(), width * height).reshape(height, width)
         drawn = sums[0] > 0.0
         for block_row in range(top // BLOCK, (top + height - 1) // BLOCK + 1):
@@ -388,7 +388,7 @@ def _placed(
         latitude_deg=near[0][:, np.newaxis] + (far[0] - near[0])[:, np.newaxis] * share,
         weight=weight,
         weighted=weighted,
-        variance_m2=_variance_m2(tile, centre, ground_m, config) if errors else np.zeros_like(weight),
+        variance_m2=_variance_m2(tile, centre, ground_m, config) if errors else np.broadcast_to(0.0, weight.shape),
     )
     known = np.isfinite(placed.longitude_deg).all(axis=1) & np.isfinite(placed.latitude_deg).all(axis=1)
     return placed if known.all() else _Placed(*(values[known] for values in placed))

@@ -47,8 +47,7 @@ def split_ring(ring: Line) -> list[Line]:
     given = np.asarray(ring, dtype=np.float64)
     low, high = given[:, 0].min(), given[:, 0].max()
     if low > -180.0 and high < 180.0 and high - low < 180.0 and np.array_equal(given[0], given[-1]):
-        opened = given[:-1]
-        return [_closed(opened)] if high - low > _MIN_WIDTH_DEG and _doubled_area(opened) != 0.0 else []
+        return _whole([given[:-1]])
     points = _continuous(given)
     turns = round((points[-1, 0] - points[0, 0]) / 360.0)
     if turns:
@@ -68,7 +67,7 @@ def split_ring(ring: Line) -> list[Line]:
         else:
             pieces.extend(_shifted(list(part), world) for part in _half(polygon, cut, west=True))
             rest.extend(_half(polygon, cut, west=False))
-    return [_closed(piece) for piece in pieces if np.ptp(piece[:, 0]) > _MIN_WIDTH_DEG and _doubled_area(piece) != 0.0]
+    return _whole(pieces)
 
 
 def _continuous(line: Line) -> Line:
@@ -134,12 +133,14 @@ def _half(polygon: Line, cut: float, *, west: bool) -> list[Line]:
     return parts
 
 
-def _doubled_area(ring: Line) -> float:
-    east, north = ring[:, 0] - ring[0, 0], ring[:, 1] - ring[0, 1]
-    return float(np.sum(east * np.roll(north, -1) - np.roll(east, -1) * north))
-
-
-def _closed(ring: Line) -> Line:
-    if _doubled_area(ring) < 0.0:
-        ring = ring[::-1]
-    return ring if np.array_equal(ring[0], ring[-1]) else np.vstack([ring, ring[:1]])
+def _whole(pieces: list[Line]) -> list[Line]:
+    """Close the pieces that have an area, counter-clockwise."""
+    closed = []
+    for piece in pieces:
+        offset = piece - piece[0]
+        (east, north), (next_east, next_north) = offset.T, np.concatenate((offset[1:], offset[:1])).T
+        doubled_area = float(np.sum(east * next_north - next_east * north))
+        if doubled_area != 0.0 and np.ptp(piece[:, 0]) > _MIN_WIDTH_DEG:
+            ring = piece[::-1] if doubled_area < 0.0 else piece
+            closed.append(ring if np.array_equal(ring[0], ring[-1]) else np.concatenate((ring, ring[:1])))
+    return closed

@@ -333,8 +333,10 @@ def _modes(n: Array, area_km2: Array, mines_per_km2: Array, prior: BackgroundPri
             if not worse.any():
                 break
             step[worse] *= 0.5
+        else:
+            tried = posterior(values + step)
         values = values + step
-        reached, background, total = posterior(values)
+        reached, background, total = tried
         if np.abs(step).max() < _SETTLED_NATS:
             break
     covariance = np.asarray(np.linalg.inv(information(background, total)), dtype=np.float64)

@@ -39,7 +39,10 @@ def geodetic_to_ecef(latitude_deg: ArrayLike, longitude_deg: ArrayLike, height_m
     prime_vertical = SEMI_MAJOR_M / np.sqrt(1.0 - ECCENTRICITY_SQUARED * sine * sine)
     from_axis = (prime_vertical + height) * np.cos(latitude)
     z = (prime_vertical * (1.0 - ECCENTRICITY_SQUARED) + height) * sine
-    return np.stack(np.broadcast_arrays(from_axis * np.cos(longitude), from_axis * np.sin(longitude), z), axis=-1)
+    x, y = from_axis * np.cos(longitude), from_axis * np.sin(longitude)
+    ecef = np.empty((*x.shape, 3))
+    ecef[..., 0], ecef[..., 1], ecef[..., 2] = x, y, z
+    return ecef
 
 
 def ecef_to_geodetic(ecef_m: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
@@ -71,10 +74,11 @@ def local_to_ecef_rotation(latitude_deg: ArrayLike, longitude_deg: ArrayLike) ->
     )
     sin_lat, cos_lat = np.sin(latitude), np.cos(latitude)
     sin_lon, cos_lon = np.sin(longitude), np.cos(longitude)
-    east = np.stack((-sin_lon, cos_lon, np.zeros_like(latitude)), axis=-1)
-    north = np.stack((-sin_lat * cos_lon, -sin_lat * sin_lon, cos_lat), axis=-1)
-    up = np.stack((cos_lat * cos_lon, cos_lat * sin_lon, sin_lat), axis=-1)
-    return np.stack((east, north, up), axis=-1)
+    rotation = np.empty((*latitude.shape, 3, 3))
+    rotation[..., 0, 0], rotation[..., 1, 0], rotation[..., 2, 0] = -sin_lon, cos_lon, 0.0
+    rotation[..., 0, 1], rotation[..., 1, 1], rotation[..., 2, 1] = -sin_lat * cos_lon, -sin_lat * sin_lon, cos_lat
+    rotation[..., 0, 2], rotation[..., 1, 2], rotation[..., 2, 2] = cos_lat * cos_lon, cos_lat * sin_lon, sin_lat
+    return rotation
 
 
 class LocalFrame(msgspec.Struct, frozen=True, kw_only=True):

@@ -15,6 +15,7 @@ otherwise.
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import Final
 
@@ -99,7 +100,8 @@ def position_covariance(
     pose = echoes.pose
     heading_sigma = np.deg2rad(navigation.heading_sigma_deg)
     pitch_sigma = np.deg2rad(navigation.pitch_sigma_deg)
-    axis_down = _array_axis(pose, sonar)[:, 2]
+    attitude = _attitude(pose.heading_rad, pose.pitch_rad, pose.roll_rad)
+    axis_down = (attitude @ _forward(sonar.heading_offset_deg, sonar.pitch_offset_deg))[:, 2]
     first_return_sigma = altitude_sigma_m / np.sqrt(1.0 - axis_down * axis_down)
     range_sigma = echoes.slant_range_m * navigation.sound_speed_sigma_mps / echoes.sound_speed_mps
 
@@ -129,13 +131,13 @@ def _array_and_echo(echoes: EchoGeometry, sonar: SonarConfig) -> tuple[NDArray[n
     pose = echoes.pose
     slant_range, first_return = echoes.slant_range_m, echoes.first_return_m
     attitude = _attitude(pose.heading_rad, pose.pitch_rad, pose.roll_rad)
+    axis = attitude @ _forward(sonar.heading_offset_deg, sonar.pitch_offset_deg)
     # Transmission and reception are 2 r / c apart: the echo is as from half way between the two places.
     advance = np.nan_to_num(pose.speed_mps, nan=0.0) * slant_range / echoes.sound_speed_mps
     array = attitude @ np.array(sonar.lever_arm_m)
     array[:, 0] += advance * np.cos(pose.heading_rad)
     array[:, 1] += advance * np.sin(pose.heading_rad)
 
-    axis = _array_axis(pose, sonar)
     steepest = np.array([0.0, 0.0, 1.0]) - axis[:, 2:] * axis
     steepest /= np.linalg.norm(steepest, axis=1, keepdims=True)
     level = np.cross(steepest, axis) if echoes.side == "starboard" else np.cross(axis, steepest)
@@ -144,11 +146,11 @@ def _array_and_echo(echoes: EchoGeometry, sonar: SonarConfig) -> tuple[NDArray[n
     return array, across[:, np.newaxis] * level + first_return[:, np.newaxis] * steepest
 
 
-def _array_axis(pose: PoseTrack, sonar: SonarConfig) -> NDArray[np.float64]:
-    """Compute unit vectors along the array, forward, (n, 3) north, east, down."""
-    offsets = np.deg2rad(np.array([[sonar.heading_offset_deg, sonar.pitch_offset_deg]]))
-    mounted_forward = _attitude(offsets[:, 0], offsets[:, 1], np.zeros(1))[0, :, 0]
-    return np.asarray(_attitude(pose.heading_rad, pose.pitch_rad, pose.roll_rad) @ mounted_forward, dtype=np.float64)
+@functools.lru_cache(maxsize=8)
+def _forward(heading_offset_deg: float, pitch_offset_deg: float) -> NDArray[np.float64]:
+    """Compute the unit vector along the array, (3,) forward, starboard, down at the vehicle. Not to be changed."""
+    offsets = np.deg2rad(np.array([[heading_offset_deg, pitch_offset_deg]]))
+    return _attitude(offsets[:, 0], offsets[:, 1], np.zeros(1))[0, :, 0]
 
 
 def _attitude(
@@ -161,11 +163,11 @@ def _attitude(
     sin_h, cos_h = np.sin(heading_rad), np.cos(heading_rad)
     sin_p, cos_p = np.sin(pitch_rad), np.cos(pitch_rad)
     sin_r, cos_r = np.sin(roll_rad), np.cos(roll_rad)
-    forward = np.stack((cos_h * cos_p, sin_h * cos_p, -sin_p), axis=-1)
-    starboard = np.stack(
-        (cos_h * sin_p * sin_r - sin_h * cos_r, sin_h * sin_p * sin_r + cos_h * cos_r, cos_p * sin_r), axis=-1
-    )
-    down = np.stack(
-        (cos_h * sin_p * cos_r + sin_h * sin_r, sin_h * sin_p * cos_r - cos_h * sin_r, cos_p * cos_r), axis=-1
-    )
-    return np.stack((forward, starboard, down), axis=-1)
+    rotation = np.empty((len(heading_rad), 3, 3))
+    rotation[:, 0, 0], rotation[:, 1, 0], rotation[:, 2, 0] = cos_h * cos_p, sin_h * cos_p, -sin_p
+    rotation[:, 0, 1] = cos_h * sin_p * sin_r - sin_h * cos_r
+    rotation[:, 1, 1] = sin_h * sin_p * sin_r + cos_h * cos_r
+    rotation[:, 0, 2] = cos_h * sin_p * cos_r + sin_h * sin_r
+    rotation[:, 1, 2] = sin_h * sin_p * cos_r - cos_h * sin_r
+    rotation[:, 2, 1], rotation[:, 2, 2] = cos_p * sin_r, cos_p * cos_r
+    return rotation

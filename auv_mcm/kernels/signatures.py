@@ -134,7 +134,7 @@ def _address(array: NDArray[Any]) -> int:
     A quarter of the time that `array.ctypes.data` takes, which read-only and empty arrays need.
     """
     if array.flags.writeable and array.size:
-        return ctypes.addressof(_NOTHING.from_buffer(array.data))
+        return ctypes.addressof(_NOTHING.from_buffer(array))  # type: ignore[arg-type]  # numpy types no buffer
     return int(array.ctypes.data)
 
 

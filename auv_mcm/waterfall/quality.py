@@ -198,8 +198,6 @@ def _may_be_dead(sparse: NDArray[np.float32], n_samples: int, highest: NDArray[n
 
     All samples together vary at least as much as some of them do by themselves, times their share.
 
-    All samples together vary at least as much as some of them do by themselves, times their share.
-
     sparse: (n_traces, n) intensity of some of the n_samples.
     """
     is_dark = ~(highest > 0.0)

@@ -81,7 +81,7 @@ class RecordedMission:
                 self._counters["replay.bottom_line_unused"] += 1
                 self._notices.append(unused_notice(line.path, line.problem))
         self._spans: dict[Path, tuple[float, float]] = {}
-        self._done_bytes = 0
+        self._done_bytes, self._whole_bytes = 0, sum(self.sizes_bytes.values())
         self._reading: Log | None = None
 
     @property
@@ -121,7 +121,7 @@ class RecordedMission:
     def fraction_done(self) -> float:
         """Return how much of the files `events` has read, 0..1."""
         reading_bytes = 0 if self._reading is None else self._reading.bytes_read
-        return min(1.0, (self._done_bytes + reading_bytes) / sum(self.sizes_bytes.values()))
+        return min(1.0, (self._done_bytes + reading_bytes) / self._whole_bytes)
 
     def counters(self) -> Counter[str]:
         """Count what the readers skipped or mended so far."""
