@@ -234,13 +234,14 @@ class Mosaic:
         """Add pixels to the blocks, piece by piece where the outline of all would be too large."""
         assert self._origin_deg is not None
         if self._projection is None:
-            right = wrap_longitude_deg(placed.longitude_deg - self._origin_deg[0]) / self._step_deg[0]
-            down = (self._origin_deg[1] - placed.latitude_deg) / self._step_deg[1]
+            right = wrap_longitude_deg(placed.longitude_deg - self._origin_deg[0])
+            down = self._origin_deg[1] - placed.latitude_deg
         else:
             east_m, north_m = self._projection.project(placed.longitude_deg, placed.latitude_deg)
-            right = (east_m - self._origin_deg[0]) / self._step_deg[0]
-            down = (self._origin_deg[1] - north_m) / self._step_deg[1]
-        right, down = np.floor(right, out=right), np.floor(down, out=down)
+            right, down = east_m - self._origin_deg[0], self._origin_deg[1] - north_m
+        for pixels, step_deg in zip((right, down), self._step_deg, strict=True):  # in place: fresh memory is dear
+            pixels /= step_deg
+            np.floor(pixels, out=pixels)
         left, top = int(right.min()), int(down.min())
         width, height = int(right.max()) - left + 1, int(down.max()) - top + 1
         n_rows = len(right)
@@ -248,7 +249,10 @@ class Mosaic:
             self._draw(placed.part(slice(0, n_rows // 2)))
             self._draw(placed.part(slice(n_rows // 2, n_rows)))
             return
-        index = ((down - top) * width + (right - left)).astype(np.intp).ravel()
+        down *= width
+        down += right
+        down -= top * width + left
+        index = down.ravel().astype(np.intp)
         variance = [placed.weight * placed.variance_m2] if self._n_sums > 2 else []
         sums = np.zeros((3, height, width), dtype=np.float32)
         for number, values in enumerate((placed.weight, placed.weighted, *variance)):
@@ -382,15 +386,13 @@ def _placed(
         weight, weighted = _without_nadir(tile, centre, ground_m, nadir, weight, weighted)
     near, far = (_located(tile, centre, distance_m, config) for distance_m in (0.0, far_m))
     share = ground_m / far_m  # over a flat bottom places lie evenly along a ping
-    eastward = wrap_longitude_deg(far[1] - near[1])
-    placed = _Placed(
-        longitude_deg=near[1][:, np.newaxis] + eastward[:, np.newaxis] * share,
-        latitude_deg=near[0][:, np.newaxis] + (far[0] - near[0])[:, np.newaxis] * share,
-        weight=weight,
-        weighted=weighted,
-        variance_m2=_variance_m2(tile, centre, ground_m, config) if errors else np.broadcast_to(0.0, weight.shape),
-    )
-    known = np.isfinite(placed.longitude_deg).all(axis=1) & np.isfinite(placed.latitude_deg).all(axis=1)
+    longitude_deg = np.multiply.outer(wrap_longitude_deg(far[1] - near[1]), share)
+    longitude_deg += near[1][:, np.newaxis]
+    latitude_deg = np.multiply.outer(far[0] - near[0], share)
+    latitude_deg += near[0][:, np.newaxis]
+    variance_m2 = _variance_m2(tile, centre, ground_m, config) if errors else np.broadcast_to(0.0, weight.shape)
+    placed = _Placed(longitude_deg, latitude_deg, weight, weighted, variance_m2)
+    known = np.isfinite([*near, *far]).all(axis=0)
     return placed if known.all() else _Placed(*(values[known] for values in placed))
 
 

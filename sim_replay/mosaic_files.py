@@ -136,15 +136,17 @@ def write_kmz(
 
 def coloured(drawn: NDArray[np.uint8], palette: str = "copper") -> NDArray[np.uint8]:
     """Colour bytes of echo: (n, m, 4) uint8 blue, green, red, opacity. palette: of PALETTES."""
-    echo = drawn[..., 0]
-    opacity = np.where(echo > 0, np.uint8(255), np.uint8(0))[..., np.newaxis]
+    echo = np.arange(256, dtype=np.uint8)[:, np.newaxis]
     if palette == "copper":
         colours = coloured_levels(np.ceil(echo * (LEVELS / 255.0)).astype(np.uint8))
     elif palette == "grey":
         colours = np.repeat(echo[..., np.newaxis], 3, axis=-1)
     else:
-        colours = np.asarray(cv2.applyColorMap(np.ascontiguousarray(echo), _OPENCV[palette]))
-    return np.ascontiguousarray(np.concatenate([np.where(opacity > 0, colours, np.uint8(0)), opacity], axis=-1))
+        colours = np.asarray(cv2.applyColorMap(echo, _OPENCV[palette]))
+    table = np.full((256, 4), 255, dtype=np.uint8)
+    table[:, :3], table[0] = colours[:, 0], 0
+    pixels = cv2.LUT(np.ascontiguousarray(drawn[..., 0]), table.view(np.int32))
+    return np.asarray(pixels[..., np.newaxis].view(np.uint8))
 
 
 def _windows(levels: Sequence[Level], max_sigma_m: float) -> list[Window]:

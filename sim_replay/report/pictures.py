@@ -117,8 +117,7 @@ class PictureCollector:
         """Cut the mission into strips of about equal length, their pictures within `max_bytes` together."""
         while True:
             for quality in _QUALITIES:
-                strips = self._drawn(quality)
-                if sum(len(strip.jpeg) for strip in strips) <= max_bytes:
+                if (strips := self._drawn(quality, max_bytes)) is not None:
                     return strips
             self._halve()
 
@@ -131,7 +130,7 @@ class PictureCollector:
         self._rows_per_pixel *= rows
         self._columns_per_pixel *= columns
 
-    def _drawn(self, quality: int) -> tuple[PictureStrip, ...]:
+    def _drawn(self, quality: int, max_bytes: int) -> tuple[PictureStrip, ...] | None:
         if not self._pieces:
             return ()
         first = min(piece.first_row for piece in self._pieces)
@@ -149,6 +148,9 @@ class PictureCollector:
             ]
             if here:
                 strips.append(self._strip(len(strips) + 1, here, start_row, stop_row, half_px, quality))
+                max_bytes -= len(strips[-1].jpeg)
+            if max_bytes < 0:
+                return None  # whatever the others are
         return tuple(strips)
 
     def _strip(
