@@ -81,8 +81,8 @@ def find_format(path: Path) -> LogFormat:
         raise BadInputError(f"{path} cannot be read: {error.strerror}. Check its permissions.") from error
     if not head:
         raise BadInputError(f"{path} is empty (0 bytes). The recorder wrote nothing, or a copy failed: fetch it again.")
-    claims = [(row.recognises(head), row) for row in FORMATS]
-    strongest, found = max(claims, key=lambda claim: claim[0])
+    formats = FORMATS[:1] if _is_xtf(head) else FORMATS  # which are loaded, and look through all of the head
+    strongest, found = max(((row.recognises(head), row) for row in formats), key=lambda claim: claim[0])
     if found.is_image and (foreign := foreign_image(head)) is not None:
         raise BadInputError(f"{path} is {foreign.title}. {foreign.remedy}.")
     if strongest:
