@@ -486,7 +486,7 @@ class Pipeline:
         return [confirmation_failed(*defects[0])] if defects and first else []
 
     def _opinions(self, chosen: list[Detection]) -> Iterator[Opinion | None]:
-        """Yield the network's opinions on those chosen, asked together, or none where it failed; then None without end."""
+        """Yield the network's opinions on those chosen, asked together, or none if it failed; then None without end."""
         if self._asks_network and chosen:
             most = None if "look-limit" in self._without_skips else self._config.confirm.max_examined_per_tile
             found = caught(partial(opinions_on, chosen, self._config.sonar.beam_width_rad, self._odds, most))
