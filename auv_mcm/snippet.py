@@ -21,8 +21,16 @@ def pack_snippet(intensity: NDArray[Any]) -> NDArray[np.uint8]:
     """
     values = np.asarray(intensity, dtype=np.float32)
     echo = values > 0.0
-    level_db = 10.0 * np.log10(values, out=np.full(values.shape, _FLOOR_DB / 10.0, dtype=np.float32), where=echo)
-    return np.where(echo, np.clip(np.rint((level_db - _FLOOR_DB) * _PER_DB) + 1.0, 1.0, 255.0), 0.0).astype(np.uint8)
+    level_db = np.where(echo, values, np.float32(1.0))
+    np.log10(level_db, out=level_db)
+    level_db *= 10.0
+    level_db -= _FLOOR_DB
+    level_db *= _PER_DB
+    np.rint(level_db, out=level_db)
+    level_db += 1.0
+    codes = np.clip(level_db, 1.0, 255.0, out=level_db).astype(np.uint8)
+    codes[~echo] = 0
+    return codes
 
 
 def unpack_snippet(codes: NDArray[np.uint8]) -> NDArray[np.float32]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import statistics
 from typing import Final, NamedTuple
 
 import cv2
@@ -187,7 +188,9 @@ def _blur_pixels(length_m: float, pixel_m: float) -> int:
 def _region(tile: Tile, level: float, peak: Peak, rows: slice, columns: slice, blur: tuple[int, int]) -> _Roi:
     valid = (tile.mask[rows, columns] & VALID) != 0
     background = np.float32(level)
-    intensity = np.where(valid, tile.intensity[rows, columns] / background, np.float32(0.0)).astype(np.float32)
+    intensity = np.where(valid, tile.intensity[rows, columns] / background, np.float32(0.0)).astype(
+        np.float32, copy=False
+    )
     contrast = _log_mean(intensity, valid, 3, 3)
     darkness = _log_mean(np.minimum(intensity, np.float32(_DARK_CLIP)), valid, *blur)
     return _Roi(contrast, darkness, intensity, valid, peak.row - rows.start, peak.column - columns.start)
@@ -199,13 +202,17 @@ def _log_mean(
     """Compute the logarithm of the mean over the valid pixels of a box around each pixel; 0 where few are valid."""
     total = cv2.blur(intensity, (n_columns, n_rows), borderType=cv2.BORDER_CONSTANT)
     weight = cv2.blur(valid.astype(np.float32), (n_columns, n_rows), borderType=cv2.BORDER_CONSTANT)
-    mean = np.divide(total, weight, out=np.ones_like(total), where=weight > 0.3)
-    return np.asarray(np.log(np.clip(mean, 1e-3, 1e6)))
+    few = weight <= 0.3
+    weight[few] = total[few] = 1.0
+    mean = np.divide(total, weight, out=total)
+    np.clip(mean, 1e-3, 1e6, out=mean)
+    return np.asarray(np.log(mean, out=mean))
 
 
 def _bridged(mask: NDArray[np.bool_], gap: int) -> NDArray[np.bool_]:
     """Fill holes of up to `gap` columns between pixels of the mask in the same row."""
-    padded = np.pad(mask.view(np.uint8), ((0, 0), (0, gap)))
+    padded = np.zeros((mask.shape[0], mask.shape[1] + gap), dtype=np.uint8)
+    padded[:, : mask.shape[1]] = mask
     kernel = np.ones((1, gap + 1), dtype=np.uint8)
     # Opposite anchors: with one in the middle a kernel of even length would shift the mask.
     closed = cv2.erode(cv2.dilate(padded, kernel, anchor=(gap, 0)), kernel, anchor=(0, 0))
@@ -242,10 +249,10 @@ def _shadow_behind(
 
 def _strongest(roi: _Roi, part: NDArray[np.bool_]) -> tuple[int, int]:
     """Find a part's pixel of highest contrast, less 0.05 nats for every pixel away from the peak; the first on ties."""
-    distance = np.hypot((np.arange(part.shape[0]) - roi.row)[:, None], (np.arange(part.shape[1]) - roi.column)[None, :])
-    value = np.where(part, roi.contrast - 0.05 * distance, -np.inf)
-    row, column = np.unravel_index(int(np.argmax(value)), part.shape)
-    return int(row), int(column)
+    rows, columns = np.nonzero(part)
+    value = roi.contrast[rows, columns] - 0.05 * np.hypot(rows - roi.row, columns - roi.column)
+    best = int(np.argmax(value))
+    return int(rows[best]), int(columns[best])
 
 
 def _weighted_extent(roi: _Roi, part: NDArray[np.bool_], bright_step: float) -> tuple[float, float, _Extent, int]:
@@ -315,7 +322,7 @@ def _shadow_interval(shadow: NDArray[np.bool_], row: int, half_rows: int) -> tup
         near = rows[[int(np.argmin(np.abs(rows - row)))]]
     starts = shadow[near].argmax(axis=1)
     stops = shadow.shape[1] - shadow[near][:, ::-1].argmax(axis=1)
-    return float(np.median(starts)), float(np.median(stops))
+    return float(statistics.median(starts.tolist())), float(statistics.median(stops.tolist()))
 
 
 def _decibels(roi: _Roi, part: NDArray[np.bool_]) -> float:
