@@ -30,6 +30,9 @@ from auv_mcm.detect.belief import odds_of, probability
 from auv_mcm.records import NAN, ContactClass, Detection
 
 CONTRADICTION: Final = "views_contradict"
+AGREEMENT: Final = ("kinds_differ", "kinds_agree")
+"""Reasons of a contact whose odds that lowers or raises by a third or more."""
+_NAMED_NATS: Final = 0.3  # of agreement that the reasons name: a third of the odds
 AGREEMENT_NATS: Final = (0.43, 0.49)
 """Evidence of a view from another direction, nats: the first, and the second times ln of the probability that both
 show the same kind of mine. Half the weights of a logistic regression on contacts of 18 drawn missions flown both ways
@@ -76,9 +79,11 @@ def fuse(views: Sequence[Detection], prior: float) -> FusedViews:
     if conflict >= APART_FROM:
         return _verdict(_view_mass(strongest, prior), strongest.p_mine, conflict, views, prior, (CONTRADICTION,))
     kinds = combine([_shape_source(view) for view in views])
-    ratio = max(ratios) + agreement_nats(views, ratios)
+    agreement = agreement_nats(views, ratios)
+    reasons = (AGREEMENT[agreement > 0.0],) if abs(agreement) >= _NAMED_NATS else ()
+    ratio = max(ratios) + agreement
     mass = with_ratio(kinds.mass, ratio)
-    return _verdict(mass, probability(ratio + prior), max(conflict, kinds.conflict), views, prior, ())
+    return _verdict(mass, probability(ratio + prior), max(conflict, kinds.conflict), views, prior, reasons)
 
 
 def agreement_nats(views: Sequence[Detection], log_ratios: Sequence[float]) -> float:

@@ -22,6 +22,8 @@ CLOSE_LOOK_REASONS: Final[dict[str, str]] = {
     "views_contradict": (
         "its views contradict each other so much that they may show two objects: the most mine-like one stands for it"
     ),
+    "kinds_agree": "views from other directions show the same kind of mine, which raises its odds",
+    "kinds_differ": "views from other directions show another kind of mine, as a stone's do, which lowers its odds",
     "region_too_small": "too few pixels around it for confirmation",
     "geometry_unknown": "altitude or range is not known there, so that no height can be measured",
     "no_echo": "no echo at all was recorded around it",
@@ -57,10 +59,10 @@ CLOSE_LOOK_REASONS: Final[dict[str, str]] = {
     "weak_highlight": "too little echo before the shadow to count: the shadow alone gives the shape",
 }
 
-_FOR: Final = frozenset({"highlight_and_shadow"})
+_FOR: Final = frozenset({"highlight_and_shadow", "kinds_agree"})
 _AGAINST: Final = REJECTING | {
     *("no_highlight", "no_shadow", "too_large", "too_small", "implausible_height", "crowded", "extended", "clutter"),
-    "not_listed",
+    *("not_listed", "kinds_differ"),
 }
 
 

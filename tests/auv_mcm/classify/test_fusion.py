@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from auv_mcm.classify.beliefs import FRAME, MINE_LIKE_P, vacuous
 from auv_mcm.classify.fusion import AGREEMENT_NATS, CONTRADICTION, FusedViews, agreement_nats, fuse
+from auv_mcm.classify.reasons import bearing
 from auv_mcm.records import NAN, ContactClass, Detection
 from tests.auv_mcm.classify.drawn_looks import confirmation, detection, like
 
@@ -196,11 +197,14 @@ def test_what_looks_like_a_mine_of_another_kind_from_each_side_is_less_likely_on
     for apart_deg in (45.0, 90.0, 180.0):
         both = fuse([one, looked_at(4.0, 10.0 + apart_deg, 1.0, kind_nats=ONE_KIND[::-1])], PRIOR)
         assert odds(both) < PRIOR + 1.5
+        assert (both.reasons, bearing(both.reasons[0])) == (("kinds_differ",), "against")
 
 
 def test_however_many_views_agree_three_count() -> None:
     seen = [looked_at(1.0, 40.0 * number, float(number), kind_nats=ONE_KIND) for number in range(9)]
-    assert odds(fuse(seen, PRIOR)) == pytest.approx(PRIOR + 1.0 + 3.0 * SAME, abs=1e-6)
+    verdict = fuse(seen, PRIOR)
+    assert odds(verdict) == pytest.approx(PRIOR + 1.0 + 3.0 * SAME, abs=1e-6)
+    assert (verdict.reasons, bearing(verdict.reasons[0])) == (("kinds_agree",), "for")
 
 
 def test_a_mine_seen_badly_once_is_still_a_mine() -> None:
