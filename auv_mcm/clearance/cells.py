@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.geometry.georeference import locate, tile_echoes
+from auv_mcm.kernels.texture import summed
 from auv_mcm.records import NAN, SEABED_TYPES, SeabedCells, SurveyedCells, Tile
 from auv_mcm.settings.config import SonarConfig
 
@@ -111,8 +112,7 @@ def surveyed_cells(
 
 def _blocks(tile: Tile, covered: NDArray[np.bool_], sonar: SonarConfig, frame: LocalFrame) -> _Blocks | None:
     """Place the covered pixels in blocks, on the line between both ends of their rows; None if nothing was covered."""
-    n_rows = max(1, round(_BLOCK_M / tile.row_spacing_m))
-    n_columns = max(1, round(_BLOCK_M / tile.column_spacing_m))
+    n_rows, n_columns = (max(1, round(_BLOCK_M / side_m)) for side_m in (tile.row_spacing_m, tile.column_spacing_m))
     area_m2 = _sums(covered, n_rows, n_columns) * (tile.row_spacing_m * tile.column_spacing_m)
     at_row, at_column = np.nonzero(area_m2)
     if not len(at_row):
@@ -132,8 +132,8 @@ def _blocks(tile: Tile, covered: NDArray[np.bool_], sonar: SonarConfig, frame: L
 
 def _sums(covered: NDArray[np.bool_], n_rows: int, n_columns: int) -> Array:
     """Sum covered pixels per block; the last ones may be cut short."""
-    by_row = np.add.reduceat(covered, np.arange(0, covered.shape[0], n_rows), axis=0, dtype=np.int32)
-    return np.add.reduceat(by_row, np.arange(0, covered.shape[1], n_columns), axis=1).astype(np.float64)
+    whole = np.pad(covered, ((0, -covered.shape[0] % n_rows), (0, -covered.shape[1] % n_columns)))
+    return summed(whole.astype(np.float32), (n_rows, n_columns)).astype(np.float64)
 
 
 def _placed(tile: Tile, row: Array, ground_m: float, sonar: SonarConfig, frame: LocalFrame) -> Array:
