@@ -172,7 +172,7 @@ def run_once(
         command = [sys.executable, "-c", _PLAIN_SCRIPT, str(script), str(line.log), str(contacts)]
     else:
         config = contacts.with_suffix(".yaml")
-        config.write_text(config_yaml(point.configure(line.config, folder)), "utf-8")
+        config.write_text(config_yaml(point.configure(line.config)), "utf-8")
         command = [sys.executable, "-m", one_run.MODULE, str(line.log), "--config", str(config)]
         command += ["--contacts", str(contacts)]
     started_s = time.monotonic()

@@ -100,13 +100,13 @@ def test_the_quick_check_holds_errors_and_counts_of_work(capsys: pytest.CaptureF
     assert "FAILED" not in capsys.readouterr().out
 
 
-def test_points_have_names_of_their_own_and_each_turns_something(tmp_path: Path) -> None:
+def test_points_have_names_of_their_own_and_each_turns_something() -> None:
     every = chain_settings()
     assert len({point.name for point in every}) == len(every)
     assert every[0].name == DEFAULT
     config = config_for(read_scene("flat"))
     for point in every[1:]:
-        assert point.is_plain_script or point.configure(config, tmp_path) != config, point.name
+        assert point.is_plain_script or point.configure(config) != config, point.name
 
 
 def test_short_missions_keep_all_objects_and_empty_ones_have_none() -> None:
