@@ -196,12 +196,15 @@ def contacts_path(point: ChainSetting, line: BenchMission, folder: Path) -> Path
 
 
 def timed(command: Sequence[str], what: str, errors: Path, environment: Mapping[str, str]) -> tuple[str, float]:
-    """Run a program for its output, and its user and system time, s. Raises BadInputError if it fails."""
+    """Run a program for its output, and its user and system time, s. Raises BadInputError if it fails.
+
+    As of an installed program, its bytecode is kept: beside `errors`, from the first run on.
+    """
+    kept = {"PYTHONDONTWRITEBYTECODE": "", "PYTHONPYCACHEPREFIX": str(errors.parent / "bytecode")}
+    env = {**os.environ, **kept, **_ONE_THREAD, **environment}
     with (
         errors.open("wb+") as err,
-        subprocess.Popen(
-            command, env={**os.environ, **_ONE_THREAD, **environment}, stdout=subprocess.PIPE, stderr=err
-        ) as process,
+        subprocess.Popen(command, env=env, stdout=subprocess.PIPE, stderr=err) as process,
     ):
         assert process.stdout is not None
         output = process.stdout.read().decode()
