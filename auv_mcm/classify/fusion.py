@@ -36,8 +36,9 @@ _NAMED_NATS: Final = 0.3  # of agreement that the reasons name: a third of the o
 AGREEMENT_NATS: Final = (0.43, 0.49)
 """Evidence of a view from another direction, nats: the first, and the second times ln of the probability that both
 show the same kind of mine. Half the weights of a logistic regression on contacts of 18 drawn missions flown both ways
-with 540 mines, since sea floors have fewer rocks. On eight others with 240 mines, Pd at 100 false alarms per km² rises
-from 0.77 to 0.82 where the 240 rocks count, and falls from 0.94 to 0.92 where they do not."""
+with 540 mines, since sea floors have fewer rocks. On eight others with 240 mines, on which half was chosen among four
+shares, Pd at 100 false alarms per km² rises from 0.77 to 0.82 where the 240 rocks count, and falls from 0.94 to 0.92
+where they do not."""
 _MOST_NEWS: Final = 3.0  # views from other directions that agreement counts for, maximum: as many as it was fitted on
 _SPREAD_DEG: Final = 15.0  # views from directions closer than this mostly repeat each other
 _ONE_LOOK: Final = 3.0  # nats that another view may bring
