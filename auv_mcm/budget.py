@@ -8,7 +8,7 @@ the prices of a computer.
     then, with what is left less the price of two looks: the cascade's windows, best first
     then, only if no window was cut: looks, likeliest first
 
-A look is the verifier's opinion, and the examination that one in four goes on to.
+A look is the verifier's opinion, and the examination that one in four goes on to; an examination without a verifier.
 
 A stage gets nothing before all work of the stage before it is paid. The windows of a smaller budget are therefore among
 those of a larger one, and so are the looks: whatever is done with a smaller budget is done with a larger one as well.
@@ -46,11 +46,13 @@ class Allowance(NamedTuple):
     """Hold what may be spent on a tile, µs of work by the price list; infinite without a limit.
 
     total_us: the tile's budget. cheapest_us: price of the cheapest pass, which is always done, measuring left out.
+    has_verifier: whether it decides which detections are examined.
     """
 
     total_us: float
     cheapest_us: float
     prices: BudgetConfig
+    has_verifier: bool = True
 
     @property
     def left_us(self) -> float:
@@ -64,23 +66,26 @@ class Allowance(NamedTuple):
 
     def comparisons(self) -> int | None:
         """Count the comparisons that the cascade may make, beside the reserved looks; None without a limit."""
-        left_us = max(self.left_us - RESERVED_LOOKS * look_price_us(self.prices), 0.0)
+        left_us = max(self.left_us - RESERVED_LOOKS * look_price_us(self.prices, self.has_verifier), 0.0)
         return math.floor(left_us / self.prices.comparison_us) if self.is_limited else None
 
     def n_looks(self, n_evaluations: int, n_measured: int) -> int:
         """Close looks that are paid after so many comparisons and so many peaks measured, the reserved ones first."""
         left_us = self.left_us - n_evaluations * self.prices.comparison_us - n_measured * self.prices.peak_us
-        look_us = look_price_us(self.prices)
+        look_us = look_price_us(self.prices, self.has_verifier)
         return max(math.floor(left_us / look_us), min(RESERVED_LOOKS, math.floor(self.left_us / look_us)))
 
 
-def look_price_us(prices: BudgetConfig) -> float:
+def look_price_us(prices: BudgetConfig, has_verifier: bool = True) -> float:
     """Price a look, µs: an opinion, contours, Markov field and solids, as much of each as a look takes on average."""
     moves_us, hypotheses_us = MOVES_PER_LOOK * prices.contour_move_us, HYPOTHESES_PER_LOOK * prices.hypothesis_us
-    return prices.opinion_us + EXAMINED_PER_LOOK * (prices.field_us + moves_us + hypotheses_us)
+    examination_us = prices.field_us + moves_us + hypotheses_us
+    return prices.opinion_us + EXAMINED_PER_LOOK * examination_us if has_verifier else examination_us
 
 
-def tile_allowance(tile: Tile, n_samples: float, n_sides: int, budget: BudgetConfig, room: float = 1.0) -> Allowance:
+def tile_allowance(
+    tile: Tile, n_samples: float, n_sides: int, budget: BudgetConfig, room: float = 1.0, has_verifier: bool = True
+) -> Allowance:
     """Give a tile its budget.
 
     The time that the vehicle took to sail past its core, times the duty, over the number of sides.
@@ -93,13 +98,15 @@ def tile_allowance(tile: Tile, n_samples: float, n_sides: int, budget: BudgetCon
         Stored samples that went into it.
     room
         Share of that time, 0 to 1, that a service which is behind has left; 1 changes nothing.
+    has_verifier
+        Whether a verifier decides which detections are examined.
     """
     n_pixels = (tile.core_stop - tile.core_start) * tile.mask.shape[1]
     cheapest_us = n_samples * budget.sample_us + n_pixels * budget.pixel_us
     if budget.duty is None and room >= 1.0:
-        return Allowance(math.inf, cheapest_us, budget)
+        return Allowance(math.inf, cheapest_us, budget, has_verifier)
     duty = (1.0 if budget.duty is None else budget.duty) * min(max(room, 0.0), 1.0)
-    return Allowance(duty * tile_duration_s(tile) * _US_PER_S / max(n_sides, 1), cheapest_us, budget)
+    return Allowance(duty * tile_duration_s(tile) * _US_PER_S / max(n_sides, 1), cheapest_us, budget, has_verifier)
 
 
 def tile_duration_s(tile: Tile) -> float:

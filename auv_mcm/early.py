@@ -113,7 +113,9 @@ class EarlyLook:
         for strip in strips:
             self._next_row = strip.first_row + strip.core_stop
             self.counters["early.strips"] += 1
-            allowance = tile_allowance(strip, 0.0, len(SIDES), self._config.budget)
+            allowance = tile_allowance(
+                strip, 0.0, len(SIDES), self._config.budget, has_verifier=self._odds.verifier is not None
+            )
             comparisons = allowance.comparisons()
             max_evaluations = _MAX_COMPARISONS if comparisons is None else min(comparisons, _MAX_COMPARISONS)
             if self._is_promising(strip, max_evaluations):

@@ -441,9 +441,9 @@ class Pipeline:
         """Give each of the tiles that come together its budget."""
         n_rows = [tile.core_stop - tile.core_start for tile in tiles]
         per_row, self._n_new_samples = self._n_new_samples / max(sum(n_rows), 1), 0
-        n_sides = len({tile.side for tile in tiles})
+        n_sides, has_verifier = len({tile.side for tile in tiles}), self._odds.verifier is not None
         return [
-            tile_allowance(tile, per_row * n, n_sides, self._config.budget, self._room)
+            tile_allowance(tile, per_row * n, n_sides, self._config.budget, self._room, has_verifier)
             for tile, n in zip(tiles, n_rows, strict=True)
         ]
 

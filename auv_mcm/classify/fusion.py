@@ -30,20 +30,18 @@ from auv_mcm.detect.belief import odds_of, probability
 from auv_mcm.records import NAN, ContactClass, Detection
 
 CONTRADICTION: Final = "views_contradict"
-AGREEMENT: Final = ("kinds_differ", "kinds_agree")
-"""Reasons of a contact whose odds that lowers or raises by a third or more."""
-_NAMED_NATS: Final = 0.3  # of agreement that the reasons name: a third of the odds
+_NAMED_NATS: Final = 0.3  # of agreement from which the reasons name it: a third of the odds
 AGREEMENT_NATS: Final = (0.43, 0.49)
 """Evidence of a view from another direction, nats: the first, and the second times ln of the probability that both
 show the same kind of mine. Half the weights of a logistic regression on contacts of 18 drawn missions flown both ways
 with 540 mines, since sea floors have fewer rocks. On eight others with 240 mines, on which half was chosen among four
 shares, Pd at 100 false alarms per km² rises from 0.77 to 0.82 where the 240 rocks count, and falls from 0.94 to 0.92
-where they do not."""
+where they do not; on boulders fewer rocks are called (`tests/sim_replay/benches/test_views_bench.py`)."""
 _MOST_NEWS: Final = 3.0  # views from other directions that agreement counts for, maximum: as many as it was fitted on
 _SPREAD_DEG: Final = 15.0  # views from directions closer than this mostly repeat each other
 _ONE_LOOK: Final = 3.0  # nats that another view may bring
 _LOOKS: Final = 2  # directions proposed
-_LEAST: Final = 1e-3  # probability that views show the same kind, at least: it rests on two pictures
+_LEAST: Final = 1e-3  # probability that views show the same kind, minimum; chosen, since it rests on two pictures
 
 
 class FusedViews(NamedTuple):
@@ -81,7 +79,8 @@ def fuse(views: Sequence[Detection], prior: float) -> FusedViews:
         return _verdict(_view_mass(strongest, prior), strongest.p_mine, conflict, views, prior, (CONTRADICTION,))
     kinds = combine([_shape_source(view) for view in views])
     agreement = agreement_nats(views, ratios)
-    reasons = (AGREEMENT[agreement > 0.0],) if abs(agreement) >= _NAMED_NATS else ()
+    named = "kinds_agree" if agreement > 0.0 else "kinds_differ"
+    reasons = (named,) if abs(agreement) >= _NAMED_NATS else ()
     ratio = max(ratios) + agreement
     mass = with_ratio(kinds.mass, ratio)
     return _verdict(mass, probability(ratio + prior), max(conflict, kinds.conflict), views, prior, reasons)
@@ -94,7 +93,7 @@ def agreement_nats(views: Sequence[Detection], log_ratios: Sequence[float]) -> f
     being mine-like. But a mine shows the same kind from every direction, where a stone looks like another one from
     each. A view counts against the most mine-like one by AGREEMENT_NATS, times the product of 1 - rho over all views
     with more evidence for a mine, with rho = exp(-angle^2 / (2 * 15^2 degrees)). A view whose direction or kinds are
-    not known counts nothing.
+    not known counts nothing. views, log_ratios: (n,) each, n >= 1; the ratios in nats.
     """
     order = sorted(range(len(views)), key=lambda index: (-log_ratios[index], index))
     best = views[order[0]].kind_nats

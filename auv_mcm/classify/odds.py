@@ -3,9 +3,8 @@
 Each step weighs what has been measured so far. Detections of contrasts are weighed step by step by logistic regression
 (D. R. Cox, J. Royal Statistical Society B 20, 1958), those of the cascade by boosted trees (J. H. Friedman, Annals of
 Statistics 29, 2001) and then by the verifier; all are fitted on simulated missions with seeds that nothing is scored
-on. The log-odds of mines among the
-detections fitted on are taken off: what is left is the evidence of the view alone, a log-likelihood ratio that several
-views may add up. How rare mines are is put back once per contact, as one more source.
+on. The log-odds of mines among the detections fitted on are taken off: what is left is the evidence of the view alone,
+a log-likelihood ratio. How rare mines are is put back once per contact, as one more source.
 """
 
 from __future__ import annotations

@@ -148,9 +148,11 @@ def _array_and_echo(echoes: EchoGeometry, sonar: SonarConfig) -> tuple[NDArray[n
 
 @functools.lru_cache(maxsize=8)
 def _forward(heading_offset_deg: float, pitch_offset_deg: float) -> NDArray[np.float64]:
-    """Compute the unit vector along the array, (3,) forward, starboard, down at the vehicle. Not to be changed."""
+    """Compute the unit vector along the array, (3,) forward, starboard, down at the vehicle; read-only."""
     offsets = np.deg2rad(np.array([[heading_offset_deg, pitch_offset_deg]]))
-    return _attitude(offsets[:, 0], offsets[:, 1], np.zeros(1))[0, :, 0]
+    forward = _attitude(offsets[:, 0], offsets[:, 1], np.zeros(1))[0, :, 0]
+    forward.flags.writeable = False
+    return forward
 
 
 def _attitude(

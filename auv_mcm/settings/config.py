@@ -256,7 +256,8 @@ class ConfirmConfig(_Section, frozen=True, kw_only=True):
         Meta(ge=0, le=100_000),
         Meta(
             description="maximum number of detections per tile and side whose outline, size and kind are measured, the "
-            "likeliest by the verifier first; the others keep its p_mine, and are counted"
+            "likeliest by the verifier first; the others keep its p_mine, and are counted; without a verifier "
+            "max_per_tile alone bounds them"
         ),
     ] = 16
 

@@ -17,8 +17,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.chain_models import read_models
 from auv_mcm.classify.fusion import fuse
+from auv_mcm.classify.odds import shipped_odds
 from auv_mcm.detect.belief import odds_of
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.pipeline import Pipeline
@@ -67,12 +67,11 @@ ARMS: Final[dict[str, Callable[[Views, Views], Views]]] = {
 def fly(task: Task) -> dict[str, SeenObjects]:
     """Fly a named scene both ways and sort its contacts by what they lie on, for each arm."""
     scene = msgspec.structs.replace(read_scene(task.scene), seed=task.seed)
-    mission, config = Mission(scene), config_for(scene)
-    legs = both_ways(scene)
+    mission, legs = Mission(scene), both_ways(scene)
     mission.follow(legs)
-    pipeline = Pipeline(config)
+    pipeline = Pipeline(config_for(scene))
     fly_through(mission.events(), {"": pipeline})
-    truth, models = parse_truth(mission.truth(), task.scene), read_models(config)[0]
+    truth, prior = parse_truth(mission.truth(), task.scene), shipped_odds("cascade").prior
     frame = local_frame(scene.origin)
     objects = np.array([_place(frame, one.latitude_deg, one.longitude_deg) for one in truth.objects]).reshape(-1, 2)
     sorted_views = []
@@ -92,7 +91,7 @@ def fly(task: Task) -> dict[str, SeenObjects]:
         floor = []
         for nearest, along, across in sorted_views:
             if views := arm(along, across):
-                log_odds = odds_of(fuse(views, models.odds.prior).p_mine)
+                log_odds = odds_of(fuse(views, prior).p_mine)
                 if nearest < 0:
                     floor.append(log_odds)
                 else:

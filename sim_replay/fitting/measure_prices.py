@@ -119,7 +119,8 @@ def _measured_once(events: Iterable[SourceEvent], config: Config, known: BudgetC
         done = confirm_detection(detection, config.sonar.beam_width_rad, odds, config.confirm)
         if detection.surroundings is not None and is_worth_confirming(detection, odds, config.confirm):
             asked.append(detection)
-            looked_at.extend([detection] if done.confirmation is not None else [])
+            if done.confirmation is not None:
+                looked_at.append(detection)
         return done
 
     pipeline = Pipeline(config, timer=clock, look=look)

@@ -242,6 +242,19 @@ def test_a_tiles_budget_is_the_time_that_passes_over_its_core() -> None:
     assert tile_allowance(tile, 1000.0, 2, BudgetConfig()).comparisons() is None
 
 
+def test_without_a_verifier_a_look_is_priced_as_an_examination() -> None:
+    """As with a detector of contrasts alone, whose looks end later: at this duty they are more than is paid."""
+    usual = config(0.04)
+    pipeline = Pipeline(msgspec.structs.replace(usual, detect=msgspec.structs.replace(usual.detect, model="none")))
+    for event in mission():
+        pipeline.feed(event)
+    pipeline.finish()
+    assert pipeline.counters["confirm.beyond_budget"] > 0
+    examination_us = look_price_us(BudgetConfig(), has_verifier=False)
+    assert Allowance(1e6, 0.0, BudgetConfig(), has_verifier=False).n_looks(0, 0) == math.floor(1e6 / examination_us)
+    assert look_price_us(BudgetConfig()) < 0.5 * examination_us
+
+
 def test_a_tile_whose_times_are_unknown_has_no_time() -> None:
     tile = tiles()[0]
     timeless = msgspec.structs.replace(
