@@ -313,7 +313,7 @@ def test_views_that_waver_are_fused_without_a_word() -> None:
     verdict = fuse([looked_at(2.0, 0.0), looked_at(-2.0, 90.0, 1.0)], PRIOR)
     assert verdict.reasons == ()
     assert 0.0 < verdict.conflict < 0.9
-    assert odds(verdict) == pytest.approx(PRIOR + 2.0, abs=0.1)
+    assert odds(verdict) == pytest.approx(PRIOR + 2.0, abs=1e-6)
 
 
 def test_a_contradiction_in_between_leaves_the_better_view() -> None:
@@ -321,7 +321,7 @@ def test_a_contradiction_in_between_leaves_the_better_view() -> None:
     verdict = fuse([looked_at(5.0, 0.0), looked_at(-5.0, 90.0, 1.0)], PRIOR)
     assert 0.6 < verdict.conflict < 0.9
     assert verdict.reasons == ()
-    assert odds(verdict) == pytest.approx(PRIOR + 5.0, abs=0.1)
+    assert odds(verdict) == pytest.approx(PRIOR + 5.0, abs=1e-6)
 
 
 # ---------------------------------------------------------------- no confirmation
