@@ -307,8 +307,8 @@ class _Run:
             for task in (over, ended, pacing, sampling):
                 task.cancel()
         self._progress("stopping")
+        self._stopped_s = self._mission_time().at(time.monotonic())  # before, as the answer may come at once
         self._services[-1].signal(signal.SIGTERM)
-        self._stopped_s = self._mission_time().at(time.monotonic())
         try:
             return await self._services[-1].ended(scenario.stop_within_s + GRACE_S)
         except TimeoutError:
