@@ -146,7 +146,9 @@ def _scattered(
     random = np.random.Generator(np.random.PCG64(np.random.SeedSequence([scene.seed, _STREAM, index])))
     limits_m = group.ground_range_m or (0.0, swath_m(scene))
     usual = USUAL[group.kind]
-    taken = [(other.east_m, other.north_m, other.reach_m) for other in others]
+    taken = np.empty((3, len(others) + group.count), dtype=np.float64)  # east, north, reach
+    for number, other in enumerate(others):
+        taken[:, number] = other.east_m, other.north_m, other.reach_m
     placed: list[PlacedObject] = []
 
     def drawn(limits: tuple[float, float] | None) -> float | None:
@@ -165,15 +167,17 @@ def _scattered(
         burial, tilt, scour = drawn(group.burial_m) or 0.0, drawn(group.tilt_deg) or 0.0, drawn(group.scour_m) or 0.0
         strength = drawn(group.strength_db)
         reach = 0.5 * math.hypot(sizes["length_m"], sizes["width_m"])
+        n_taken = len(others) + number
         for east, north in _tries(random, legs, limits_m):
-            if all(math.hypot(east - e, north - n) >= group.apart_m + reach + r for e, n, r in taken):
+            gaps_m = np.hypot(east - taken[0, :n_taken], north - taken[1, :n_taken]) - taken[2, :n_taken]
+            if (gaps_m >= group.apart_m + reach).all():
                 break
         else:
             raise UsageError(
                 f"`scatter[{index}]` ({group.kind}): no room for number {number + 1} of {group.count} after {_TRIES} "
                 "tries; take fewer, a smaller `apart_m`, or a longer track"
             )
-        taken.append((east, north, reach))
+        taken[:, n_taken] = east, north, reach
         placed.append(
             PlacedObject(
                 kind=group.kind,
@@ -201,9 +205,10 @@ def _tries(
 ) -> Iterator[tuple[float, float]]:
     """Draw places, east and north, m, whose nearest leg passes them within the limits of ground range."""
     low, high = limits_m
-    share = np.array([leg.length_m for leg in legs]) / sum(leg.length_m for leg in legs)
+    ends = np.cumsum([leg.length_m for leg in legs])
+    ends /= ends[-1]
     for _ in range(_TRIES):
-        leg = legs[int(random.choice(len(legs), p=share))]
+        leg = legs[int(ends.searchsorted(random.random(), side="right"))]
         across = float(random.uniform(low, high)) * (1.0 if random.uniform() < 0.5 else -1.0)
         east, north = leg.at(float(random.uniform(0.0, leg.length_m)), across)
         closest = min(abs(other.along_across(east, north)[1]) for other in legs if _abeam(other, east, north))
