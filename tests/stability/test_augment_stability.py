@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -140,13 +139,6 @@ def test_a_masked_border_hardly_changes_the_relief_inside(pings: int, columns: i
     wide = recovered(np.pad(speckle(), around, constant_values=math.nan), np.pad(ALL, around)).elevation_m
     inside = wide[pings : pings + SHAPE[0], : SHAPE[1]]
     assert float(np.corrcoef(inside.ravel(), recovered(speckle()).elevation_m.ravel())[0, 1]) > 0.9
-
-
-def test_the_same_again_and_on_two_threads_at_once() -> None:
-    once = recovered(PICTURES["rock"])
-    with ThreadPoolExecutor(2) as pool:
-        again = list(pool.map(lambda picture: recovered(picture), [PICTURES["rock"]] * 2))
-    assert all(same(one, once) for one in again)
 
 
 # --- shadows ---

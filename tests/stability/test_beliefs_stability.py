@@ -10,8 +10,6 @@ import pytest
 
 from auv_mcm.classify.beliefs import (
     APART_FROM,
-    DEMPSTER_BELOW,
-    EVERYTHING,
     FRAME,
     N_CLASSES,
     N_SUBSETS,
@@ -19,9 +17,7 @@ from auv_mcm.classify.beliefs import (
     ViewMass,
     belief,
     combine,
-    conjunctive,
     dempster,
-    discount,
     pignistic,
     subset,
     vacuous,
@@ -51,7 +47,6 @@ def seen(mass: Array, k: int, n: int) -> ViewMass:
 
 
 SURE = {name: np.eye(N_SUBSETS)[subset(name)] for name in FRAME}
-ZADEH = 0.99 * SURE["cylinder"] + 0.01 * SURE["wedge"], 0.99 * SURE["clutter"] + 0.01 * SURE["wedge"]
 
 
 def test_a_thousand_views_neither_underflow_nor_drift() -> None:
@@ -62,28 +57,6 @@ def test_a_thousand_views_neither_underflow_nor_drift() -> None:
     assert yager(masses).sum() == pytest.approx(1.0, abs=1e-12)
     halves = dempster(np.stack((dempster(masses[:500]).mass, dempster(masses[500:]).mass)))
     np.testing.assert_allclose(halves.mass, fused.mass, rtol=0, atol=1e-12)
-
-
-def test_two_hundred_views_of_one_contact_are_fused() -> None:
-    masses = floats(whole_masses(2, 200))
-    views = [seen(mass, k, 200) for k, mass in enumerate(masses)]
-    fusion = combine(views)
-    assert fusion.mass.sum() == pytest.approx(1.0, abs=1e-12)
-    again = combine(views[::-1])
-    np.testing.assert_array_equal(fusion.mass, again.mass)
-
-
-def test_sure_sources_that_contradict_each_other_give_a_flag_and_no_nan() -> None:
-    pair = np.stack((SURE["cylinder"], SURE["clutter"]))
-    mass, conflict = conjunctive(pair[0], pair[1])
-    assert float(conflict) == float(mass[0]) == 1.0
-    fused = dempster(pair)
-    assert fused.log_agreement == -math.inf
-    np.testing.assert_array_equal(fused.mass, vacuous())
-    np.testing.assert_array_equal(yager(pair), vacuous())
-    fusion = combine([seen(pair[0], 0, 2), seen(pair[1], 1, 2)])
-    assert fusion.conflict > APART_FROM
-    np.testing.assert_array_equal(fusion.mass, vacuous())
 
 
 def test_a_contradiction_stays_one_whatever_follows() -> None:
@@ -111,21 +84,6 @@ def test_the_nearer_to_sure_contradictory_sources_are_the_less_is_made_of_what_t
     if doubt**2 < 1e-12:
         np.testing.assert_array_equal(fused.mass, vacuous())
     assert combine([seen(mass, k, 2) for k, mass in enumerate(pair)]).conflict > APART_FROM
-
-
-@pytest.mark.parametrize("reliability", [0.5, 0.7, 0.8, 0.95, 1.0])
-def test_zadehs_doctors_never_agree_on_what_both_doubt(reliability: float) -> None:
-    fusion = combine([seen(discount(mass, reliability), k, 2) for k, mass in enumerate(ZADEH)])
-    assert belief(fusion.mass)[subset("wedge")] < 0.02
-    assert pignistic(fusion.mass).max() < 0.5
-    if reliability >= 0.8:
-        assert fusion.mass[EVERYTHING] > 0.6
-
-
-def test_sure_sources_that_agree_are_combined() -> None:
-    fusion = combine([seen(SURE["cylinder"], k, 7) for k in range(7)])
-    assert fusion.conflict < DEMPSTER_BELOW
-    assert belief(fusion.mass)[subset("cylinder")] == pytest.approx(1.0, abs=1e-5)
 
 
 @pytest.mark.parametrize("scale", [1e-300, 1e-6, 1.0, 1e3, 1e6, 1e12, 1e300, math.inf])

@@ -266,27 +266,6 @@ def test_a_masked_border_changes_no_window(rows: int, columns: int) -> None:
     assert scores(framed, -rows) == scores(plain)
 
 
-@pytest.mark.parametrize("origin", [0, 1, 17, 38])
-def test_every_window_of_a_strip_is_found_wherever_it_is_cut_into_tiles(origin: int) -> None:
-    strip, model, overlap, length = speckle(7, (170, 90)), drawn_model(2), 20, 39
-    whole = scores(run(tile_of(strip), model))
-    found: dict[tuple[int, int], int] = {}
-    for start in range(origin - length, len(strip), length):
-        first, last = max(start - overlap, 0), min(start + length + overlap, len(strip))
-        core = slice(max(start, 0), min(start + length, len(strip)))
-        if core.start >= core.stop:
-            continue
-        tile = msgspec.structs.replace(
-            tile_of(strip[first:last]), core_start=core.start - first, core_stop=core.stop - first
-        )
-        found |= {
-            place: score
-            for place, score in scores(run(tile, model), first).items()
-            if core.start <= place[0] < core.stop
-        }
-    assert found == whole
-
-
 @pytest.mark.parametrize("model", [None, MODEL])
 def test_every_pixel_doubled_finds_the_same_object(model: CascadeModel | None) -> None:
     plane = with_object(speckle(6))

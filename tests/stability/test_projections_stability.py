@@ -111,22 +111,6 @@ def test_a_track_that_comes_to_the_solid_is_refused_and_just_beside_it_is_not(ki
             view_shape(solid, middle, wrong, 5.0)
 
 
-@pytest.mark.parametrize("ground_range", [2.0, 20.0, 75.0])
-@pytest.mark.parametrize("altitude", [1.0, 5.0])
-def test_cylinders_turn_through_across_track_without_a_jump(ground_range: float, altitude: float) -> None:
-    offset = np.linspace(-0.249, 0.249, 21)
-    azimuth = np.radians(np.linspace(89.9, 90.1, 2001))[:, np.newaxis]
-    view = view_shape(Cylinder(radius_m=0.25, length_m=1.9, azimuth_rad=azimuth), offset, ground_range, altitude)
-    for values in view:
-        inside = values[:, 1:-1]
-        assert np.isfinite(inside).all()
-        assert np.abs(np.diff(inside, axis=0)).max() < 1e-4 * max(1.0, ground_range / altitude) * 10.0
-    hair = RIGHT + np.array([0.0, *(sign * 10.0**power for power in range(-17, -8) for sign in (-1, 1))])[:, np.newaxis]
-    near = view_shape(Cylinder(radius_m=0.25, length_m=1.9, azimuth_rad=hair), offset, ground_range, altitude)
-    for values in near:
-        assert np.ptp(values, axis=0).max() < 1e-4
-
-
 @given(st.floats(0.05, 1.0), st.integers(-60, -1), st.sampled_from([-1.0, 1.0]))
 def test_slices_that_graze_a_sphere_are_a_point_where_it_is(radius: float, power: int, side: float) -> None:
     offset = side * radius * (1.0 - 2.0**power)

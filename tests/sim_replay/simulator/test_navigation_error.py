@@ -159,13 +159,3 @@ def test_no_altitude_is_below_zero_and_no_heading_out_of_the_circle() -> None:
     )
     assert min(sample.altitude_m for sample in samples) == 0.0
     assert all(0.0 <= sample.heading_rad < 2.0 * math.pi for sample in samples)
-
-
-def test_equal_seeds_report_the_same_and_other_seeds_differ() -> None:
-    poses = straight(30)
-    assert reported(NavigationError(), poses) == reported(NavigationError(), poses)
-    for first, other in zip(
-        reported(NavigationError(), poses), reported(NavigationError(), poses, seed=2), strict=True
-    ):
-        shared = {name for name in NavSample.__struct_fields__ if getattr(first, name) == getattr(other, name)}
-        assert shared == {"time_s", "depth_m", "position_leaps"}

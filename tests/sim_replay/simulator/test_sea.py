@@ -11,15 +11,12 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 from scipy.special import kolmogorov
 
-from sim_replay.simulator import backend
 from sim_replay.simulator.backscatter import SEDIMENTS, backscatter
 from sim_replay.simulator.scene import (
     STEADY,
     Lawnmower,
-    ObjectKind,
     SampleRecorder,
     Scene,
-    SceneObject,
     Seabed,
     SeabedType,
     Sonar,
@@ -150,66 +147,3 @@ def test_speckle_is_exponential_about_the_mean_and_correlated_over_the_resolutio
         steps = np.arange(len(apart) + 1) / len(apart)
         distance = float(np.maximum(np.abs(law - steps[1:]), np.abs(law - steps[:-1])).max())
         assert kolmogorov(math.sqrt(len(apart)) * distance) > 0.01
-
-
-def wild(seed: int) -> Scene:
-    kinds: tuple[ObjectKind, ...] = ("cylinder", "wedge", "rock", "tyre", "anchor_scar", "fish_school", "debris")
-    scene_objects = tuple(
-        SceneObject(
-            kind=kind,
-            leg=0,
-            along_m=5.0 + 3.0 * k,
-            across_m=(-1.0) ** k * (9.0 + 2.0 * k),
-            azimuth_deg=40.0 * k,
-            scour_m=0.05 * (k % 2),
-        )
-        for k, kind in enumerate(kinds)
-    )
-    sonar = Sonar(range_m=35.0, n_samples=700, ping_rate_hz=6.0, beam_lines=3, crosstalk_db=-40.0)
-    seabeds = (Seabed(type="rippled_sand"), Seabed(type="boulder_field"))
-    plan = Lawnmower(n_legs=1, leg_m=30.0, heading_deg=200.0, start_east_m=-611.3, start_north_m=-1207.7)
-    return Scene(
-        seed=seed,
-        world=World(seabeds=seabeds, patch_m=10.0),
-        objects=scene_objects,
-        sonar=sonar,
-        track=Track(plan=plan),
-    )
-
-
-def flown_straight(scene: Scene, n: int) -> list[SonarPose]:
-    leg_rad = math.radians(200.0)
-    random = np.random.Generator(np.random.PCG64(scene.seed))
-    return [
-        SonarPose(
-            time_s=k / 6.0,
-            east_m=-611.3 + 0.9 * k * math.sin(leg_rad),
-            north_m=-1207.7 + 0.9 * k * math.cos(leg_rad),
-            depth_m=14.0,
-            heading_rad=leg_rad + 0.02 * float(random.normal()),
-            pitch_rad=0.02 * float(random.normal()),
-            roll_rad=0.03 * float(random.normal()),
-            course_rad=leg_rad,
-            speed_mps=1.8,
-            on_leg=0,
-        )
-        for k in range(n)
-    ]
-
-
-def sounded(scene: Scene, threads: int, block: int) -> bytes:
-    sea, poses = Sea(scene, threads=threads), flown_straight(scene, 24)
-    pings = [ping for first in range(0, len(poses), block) for ping in sea.sound(poses[first : first + block], first)]
-    return b"".join(
-        trace.samples.tobytes() for ping in pings for trace in (ping.port, ping.starboard) if trace is not None
-    )
-
-
-def test_threads_blocks_and_kernels_do_not_change_a_byte(monkeypatch: pytest.MonkeyPatch) -> None:
-    scene = wild(5)
-    expected = sounded(scene, 1, 24)
-    assert sounded(scene, 2, 24) == expected
-    assert sounded(scene, 1, 7) == expected
-    monkeypatch.setattr(backend, "library", lambda: None)
-    assert sounded(scene, 2, 16) == expected
-    assert sounded(wild(6), 1, 24) != expected

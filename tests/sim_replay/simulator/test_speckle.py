@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from typing import TypeAlias
 
 import numpy as np
@@ -12,7 +11,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from scipy.special import kolmogorov
 
 from sim_replay.simulator import backend
 from sim_replay.simulator.speckle import (
@@ -147,17 +145,6 @@ def test_c_and_numpy_give_the_same_bytes(
     np.testing.assert_array_equal(speckle_rows(energy, keys, taps), speckle_rows_numpy(energy, keys, taps), strict=True)
 
 
-def test_sum_of_two_entries_has_a_normals_moments() -> None:
-    table = normal_table().astype(np.float64)
-    one, two, three, four, six = ((table**order).mean() for order in (1, 2, 3, 4, 6))
-    assert table.shape == (2048,)
-    assert abs(2.0 * one) < 2e-6
-    assert 2.0 * two == pytest.approx(1.0, abs=1e-6)
-    assert abs(three) < 2e-6
-    assert 2.0 * four + 6.0 * two**2 == pytest.approx(3.0, abs=1e-5)
-    assert 2.0 * six + 30.0 * four * two == pytest.approx(15.0, abs=1e-4)
-
-
 def test_intensity_of_all_sums_of_entries_is_exponential() -> None:
     table = normal_table()
     squares = np.sort((table[:, None] + table).ravel() ** 2)
@@ -171,44 +158,6 @@ def test_intensity_of_all_sums_of_entries_is_exponential() -> None:
         assert above(threshold, thinned) == pytest.approx(math.exp(-threshold), abs=1.5e-4)
     for threshold, tolerance in ((2.0, 0.002), (4.0, 0.005), (6.0, 0.01), (8.0, 0.01), (10.0, 0.07), (12.0, 0.22)):
         assert above(threshold, squares) == pytest.approx(math.exp(-threshold), rel=tolerance)
-
-
-@pytest.mark.parametrize(
-    ("seed", "stream", "shape"), [(0, 0, (1, 1_000_000)), (1, 2, (1000, 1000)), (12345, 7, (1_000_000, 1))]
-)
-def test_a_million_samples_pass_for_exponential(seed: int, stream: int, shape: tuple[int, int]) -> None:
-    intensity = np.sort(speckle_rows(np.ones(shape), row_keys(seed, [stream], 0, shape[0])).ravel().astype(np.float64))
-    n = intensity.size
-    law = -np.expm1(-intensity)
-    distance = max((law - np.arange(n) / n).max(), (np.arange(1, n + 1) / n - law).max())
-    assert kolmogorov(math.sqrt(n) * distance) > 0.01
-    assert intensity.mean() == pytest.approx(1.0, abs=4.0 / math.sqrt(n))
-    assert intensity.var() == pytest.approx(1.0, abs=4.0 * math.sqrt(8.0 / n))
-    for threshold in (1.0, 2.0, 4.0, 6.0, 8.0):
-        expected = math.exp(-threshold)
-        assert (intensity > threshold).mean() == pytest.approx(
-            expected, abs=4.0 * math.sqrt(expected / n) + 0.01 * expected
-        )
-
-
-@pytest.mark.parametrize("n_looks", [1, 2, 5])
-@pytest.mark.parametrize("width", [0.0, 2.0])
-def test_looks_average_independent_speckle(n_looks: int, width: float) -> None:
-    intensity = speckle_rows(np.full((200, 1000), 3.0), row_keys(4, range(n_looks), 0, 200), gaussian_taps(width)) / 3.0
-    n = intensity.size / max(1.0, 2.0 * width)
-    assert intensity.mean() == pytest.approx(1.0, abs=4.0 / math.sqrt(n * n_looks))
-    assert intensity.var() == pytest.approx(1.0 / n_looks, abs=12.0 / n_looks / math.sqrt(n))
-
-
-@pytest.mark.parametrize("width", [1.0, 2.5])
-def test_neighbouring_bins_correlate_by_the_point_spread_function(width: float) -> None:
-    taps = gaussian_taps(width)
-    rho = autocorrelation(taps)
-    intensity = speckle_rows(np.ones((500, 1000)), row_keys(8, [1], 0, 500), taps)
-    for lag in range(taps.size + 2):
-        expected = rho[lag] ** 2 if lag < rho.size else 0.0
-        assert correlation_of_intensity(intensity, 0, lag) == pytest.approx(expected, abs=0.02)
-    assert correlation_of_intensity(intensity, 1, 0) == pytest.approx(0.0, abs=0.02)
 
 
 @pytest.mark.parametrize(
@@ -260,39 +209,6 @@ def test_columns_share_nothing_at_any_lag() -> None:
     )  # Rayleigh: mean and deviation over 64 rows
 
 
-@given(cut=st.integers(0, 40), width=st.sampled_from([0.0, 2.0]))
-@settings(max_examples=15)
-def test_blocks_of_rows_give_the_same_bytes_as_the_whole(cut: int, width: float) -> None:
-    energy = np.random.Generator(np.random.PCG64(1)).random((40, 700))
-    taps = gaussian_taps(width)
-    whole = speckle_rows(energy, row_keys(2, [0, 1], 100, 40), taps)
-    first = speckle_rows(energy[:cut], row_keys(2, [0, 1], 100, cut), taps)
-    last = speckle_rows(energy[cut:], row_keys(2, [0, 1], 100 + cut, 40 - cut), taps)
-    np.testing.assert_array_equal(np.concatenate([first, last]), whole)
-
-
-@given(cut=st.integers(0, 90), n_columns=st.integers(1, 300))
-@settings(max_examples=15)
-def test_blocks_of_a_field_give_the_same_bytes_as_the_whole(cut: int, n_columns: int) -> None:
-    taps = low_pass_taps(1.7)
-    whole = band_limited_rows(2, 3, -7, 90, 300, taps, taps)
-    first = band_limited_rows(2, 3, -7, cut, n_columns, taps, taps)
-    last = band_limited_rows(2, 3, -7 + cut, 90 - cut, n_columns, taps, taps)
-    np.testing.assert_array_equal(np.concatenate([first, last]), whole[:, :n_columns])
-
-
-def test_threads_give_the_same_bytes() -> None:
-    energy, keys, taps = np.ones((64, 2000)), row_keys(3, [0], 0, 64), gaussian_taps(1.5)
-    whole = speckle_rows(energy, keys, taps)
-    with ThreadPoolExecutor(4) as pool:
-        blocks = list(
-            pool.map(
-                lambda begin: speckle_rows(energy[begin : begin + 8], keys[:, begin : begin + 8], taps), range(0, 64, 8)
-            )
-        )
-    np.testing.assert_array_equal(np.concatenate(blocks), whole)
-
-
 @pytest.mark.parametrize("width", [0.0, 2.0])
 def test_level_of_the_energy_only_scales_the_intensity(width: float) -> None:
     keys, taps = row_keys(1, [0], 0, 3), gaussian_taps(width)
@@ -309,16 +225,6 @@ def test_no_energy_gives_no_intensity(rows: Rows, width: float, energy: float) -
     np.testing.assert_array_equal(
         rows(np.full((2, 20), energy), row_keys(1, [0], 0, 2), gaussian_taps(width)), np.zeros((2, 20))
     )
-
-
-def test_mean_across_an_edge_is_the_energy_blurred_by_the_power_of_the_taps() -> None:
-    taps = gaussian_taps(3.0)
-    energy = np.zeros((20_000, 40))
-    energy[:, 20:] = 1.0
-    profile = speckle_rows(energy, row_keys(1, [0], 0, 20_000), taps).mean(axis=0)
-    expected = np.convolve(np.pad(energy[0], taps.size // 2, mode="edge"), taps.astype(np.float64) ** 2, "valid")
-    np.testing.assert_allclose(profile, expected, atol=0.04)
-    assert profile[: 20 - taps.size // 2].max() == 0.0
 
 
 @pytest.mark.parametrize(("n_rows", "n_columns"), [(0, 5), (0, 0), (3, 0), (1, 1), (4, 1)])

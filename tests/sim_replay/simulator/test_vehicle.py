@@ -143,16 +143,6 @@ def test_a_steady_vehicle_keeps_direction_and_speed_to_rounding() -> None:
             }
 
 
-def test_on_legs_the_vehicle_crabs_by_the_arcsine_of_cross_current_over_speed() -> None:
-    track = structs.replace(TRACK, motion=CURRENT)
-    on_legs = [pose for pose in flown(track) if pose.on_leg >= 0]
-    for pose in on_legs:
-        direction = planned_legs(track.plan)[pose.on_leg].direction_rad
-        to_starboard = 0.5 * math.sin(math.radians(80.0) - direction)
-        assert pose.course_rad == direction
-        assert pose.heading_rad == pytest.approx(direction - math.asin(to_starboard / track.speed_mps), abs=1e-12)
-
-
 def test_without_current_turns_are_flown_at_the_turn_rate() -> None:
     heading = column(flown(structs.replace(TRACK, turn_rate_deg_s=6.0), 10.0), "heading_rad")
     rates = np.degrees(np.abs(turned(np.diff(heading)))) * 10.0
@@ -188,14 +178,6 @@ def test_poses_depend_on_their_time_not_on_the_steps_to_it() -> None:
     stepping = vehicle(track)
     stepped = [stepping.step(0.0)] + [stepping.step(0.2) for _ in poses[1:]]
     np.testing.assert_allclose(np.array(stepped), np.array(poses), atol=1e-7)
-
-
-def test_equal_seeds_give_equal_poses_and_other_seeds_others() -> None:
-    track = structs.replace(TRACK, motion=Motion())
-    assert flown(track) == flown(track)
-    first, other = flown(track), flown(track, seed=2)
-    for name in ("east_m", "north_m", "depth_m", "heading_rad", "pitch_rad", "roll_rad", "speed_mps"):
-        assert not np.any(column(first, name)[:100] == column(other, name)[:100])
 
 
 def test_a_silent_vehicle_begins_each_leg_at_its_start_when_it_would_get_there() -> None:
