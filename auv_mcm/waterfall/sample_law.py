@@ -10,7 +10,7 @@ answers, without any law of pure speckle.
 The factor. Linear samples are amplitudes, unless the spread is more than single-look amplitude can have (then they are
 compressed to it: intensity) or the skewness is less than any amplitude has (a root). Logarithms are scaled so that the
 floor is spread as speckle of their skewness is. Errors compress the picture rather than stretch it: stretched speckle
-costs detections and makes false alarms, compressed speckle hardly does (`auv-mcm bench law`).
+costs detections and makes false alarms, compressed speckle hardly does.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from auv_mcm.records import Transfer, TransferKind
 from auv_mcm.waterfall.floor_speckle import FloorSpeckle
 
 # Logistic regression, fitted to 700 drawn recorders: correlation of 1 to 5 samples, gamma and log-normal texture, 1 to
-# 8 looks, smoothing and decimation by up to 3 (`auv-mcm bench law --fit`). Of 700 none is on the wrong side.
+# 8 looks, smoothing and decimation by up to 3. Of 700 none is on the wrong side.
 _OFFSET: Final = -5.25
 _PER_SKEWNESS: Final = 15.3  # of relative skewness
 _PER_SPREAD_NAT: Final = 5.65  # of ln(relative spread / 0.1)

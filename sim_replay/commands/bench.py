@@ -17,7 +17,6 @@ BENCHES: Final = {  # modules of sim_replay with EXPERIMENT, or add_arguments an
         "every stage's time against error, beside what a user would take instead; and under stress",
     ),
     "mutants": ("benches.mutants", "damaged logs: none may crash, hang, take memory, or report what cannot be"),
-    "law": ("benches.law", "whether the law of a recorder is recognised, and its decibels per count"),
     "seabed": ("benches.seabed", "the live map of the sea floor against the truth of the named scenes"),
     "clearance": ("benches.clearance", "mines left, estimated against true"),
     "views": ("benches.views", "what further views of a contact bring, missions flown along and across"),
@@ -35,6 +34,7 @@ FINISHED: Final = {
     ),
     ("benches-2", _BENCHES_PAGE): ("adapt", "decibels", "left-out", "library", "limit", "performance", "soak"),
     ("c57be406", _BENCHES_PAGE): ("point", "scenes"),
+    ("58369b1f", _BENCHES_PAGE): ("law",),
     ("studies-1", _STUDIES_PAGE): (
         "beliefs", "collage", "families", "figure12", "figure13", "filters", "fusion", "images", "inversion", "pfa",
         "sas", "segmentation", "shadow", "shapes", "snakes", "verifier",

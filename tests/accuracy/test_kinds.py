@@ -18,11 +18,11 @@ from scipy.stats import poisson
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Contact
 from auv_mcm.settings.config import Config
-from sim_replay.benches.law import Store
 from sim_replay.scoring.thresholds import threshold_at
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene import TARGET_KINDS, Scatter, Scene
 from tests.accuracy.test_recorders import best_at, one_leg, stored_as
+from tests.make.recorders import Store
 
 LEG_M = 110.0
 N_TARGETS = 14

@@ -17,10 +17,10 @@ from msgspec import structs
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Contact, Ping, SourceEvent
 from auv_mcm.settings.config import Config
-from sim_replay.benches.law import STORES, Store, stored
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene import TARGET_KINDS, Lawnmower, SampleRecorder, Scene
 from sim_replay.simulator.scene_file import read_scene
+from tests.make.recorders import STORES, Store, stored
 
 SCENES = ("flat", "ripple", "rough")
 SEED = 9100

@@ -31,9 +31,9 @@ from auv_mcm.confirmation import (
 from auv_mcm.records import NAN, Confirmation, Detection, Surroundings
 from auv_mcm.settings.config import ConfirmConfig
 from auv_mcm.snippet import pack_snippet
-from sim_replay.benches.every_stage.rendered_solids import rendered_region
 from sim_replay.simulator.scene import SceneObject
 from tests.auv_mcm.classify.drawn_looks import detection
+from tests.make.rendered_solids import rendered_region
 
 BEAM_RAD = math.radians(0.5)
 EVERYTHING = ConfirmConfig(min_p_mine=0.0)

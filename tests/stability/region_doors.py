@@ -18,8 +18,8 @@ from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region
 from auv_mcm.confirm.snake import Contours, Start, converge
 from auv_mcm.kernels import snake_twin
 from auv_mcm.solids.shapes import TruncatedCone
-from sim_replay.benches.every_stage.drawn_contours import box
 from tests.auv_mcm.classify.closed_forms import closed_form_region
+from tests.make.drawn_contours import box
 
 Plane = NDArray[np.float64]
 

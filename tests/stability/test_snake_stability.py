@@ -15,7 +15,7 @@ from auv_mcm import kernels
 from auv_mcm.confirm.region import Region
 from auv_mcm.confirm.snake import Contours, Start, converge, snake_settings, start_from_detection
 from auv_mcm.kernels import snake
-from sim_replay.benches.every_stage.drawn_contours import box, plain_region
+from tests.make.drawn_contours import box, plain_region
 from tests.stability.region_doors import assert_sound, plain
 
 SHAPE = (64, 80)
@@ -112,11 +112,6 @@ def test_region_without_anything_is_rejected_with_the_reason(intensity: NDArray[
     assert reason in contours.reasons
 
 
-def test_region_that_is_masked_is_rejected() -> None:
-    region = msgspec.structs.replace(scene(), valid=np.zeros(SHAPE, dtype=np.bool_))
-    assert looked_at(region).reasons == ("no_echo",)
-
-
 def test_start_where_nothing_was_measured_is_rejected() -> None:
     valid = np.ones(SHAPE, dtype=np.bool_)
     valid[20:45, 10:60] = False
@@ -154,12 +149,3 @@ def test_contours_may_be_moved_on_as_they_are(n_runs: Callable[[int, int], int])
         again = snake.move_pair(table, known, np.empty((0, 3)), moved.highlight, moved.shadow)
         assert again.criterion == moved.criterion
         assert np.array_equal(again.shadow, moved.shadow)
-
-
-def test_mean_far_from_zero_loses_nothing() -> None:
-    """Sums over small regions of bright windows: no cancellation."""
-    image = 1e6 + np.random.default_rng(0).random((200, 300))
-    table = snake.window_row_sums(image, np.ones(image.shape, dtype=np.bool_)).table
-    inside = table[50:60, 210, 0] - table[50:60, 200, 0]
-    exact = np.rint(image[50:60, 200:210] / image.mean() / snake.QUANTUM).sum(axis=1) * snake.QUANTUM
-    assert np.abs(inside - exact).max() <= 10 * snake.QUANTUM

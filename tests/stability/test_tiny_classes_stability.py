@@ -11,12 +11,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from auv_mcm.confirm.markov_estimate import estimate_smoothness
 from auv_mcm.confirm.mrf import segment
-from auv_mcm.confirm.region import BACKGROUND, Region
+from auv_mcm.confirm.region import Region
 from auv_mcm.confirm.snake import converge
 from auv_mcm.solids.box_search import SearchBox, curvature_covariance
-from sim_replay.benches.every_stage.paper_mrf import segment_as_paper
 from tests.stability.region_doors import DOORS, START, cone_region, plain, through
 
 Plane = NDArray[np.float64]
@@ -117,35 +115,11 @@ def test_absent_classes_are_flagged_and_keep_means_on_their_side_of_the_floor() 
     assert 2.0 * answer.background_mean <= answer.highlight_mean < math.inf
 
 
-LABELS: dict[str, Callable[[], NDArray[np.intp]]] = {
-    "flat": lambda: np.zeros((60, 60), dtype=np.intp),
-    "one pixel": lambda: (np.arange(3600).reshape(60, 60) == 1830).astype(np.intp),
-    "rows": lambda: np.indices((60, 60))[0] % 3,
-    "columns": lambda: np.indices((60, 60))[1] % 2,
-    "checkerboard": lambda: np.indices((60, 60)).sum(axis=0) % 2,
-    "quarters": lambda: np.kron(np.array([[0, 1], [2, 0]]), np.ones((30, 30), dtype=np.intp)),
-    "two labels at random": lambda: 2 * np.random.Generator(np.random.PCG64(3)).integers(0, 2, (60, 60)),
-    "three labels at random": lambda: np.random.Generator(np.random.PCG64(4)).integers(0, 3, (60, 60)),
-    "hardly any of one": lambda: np.random.Generator(np.random.PCG64(5)).choice(3, (60, 60), p=(0.6, 0.398, 0.002)),
-}
-
-
-@pytest.mark.parametrize("name", LABELS)
-def test_smoothness_of_fields_whose_equations_are_few_or_alike_is_bounded(name: str) -> None:
-    estimate = estimate_smoothness(LABELS[name]().astype(np.uint8), 0.9)
-    assert 0.2 <= estimate.smoothness <= 2.0
-    assert not math.isnan(estimate.condition)
-    if name in ("flat", "one pixel", "rows", "columns", "checkerboard", "quarters"):
-        assert (estimate.smoothness, estimate.verdict) == (0.9, "prior")
-
-
 @pytest.mark.parametrize("estimate", [False, True])
 def test_a_field_of_one_label_leaves_the_smoothness_to_the_prior(estimate: bool) -> None:
     flat = picture(np.random.Generator(np.random.PCG64(2)).gamma(4.0, 0.25, SHAPE))
     answer = segment(flat, estimate_markov=estimate)
     assert 0.2 <= answer.smoothness <= 2.0
-    assert segment_as_paper(picture(np.full(SHAPE, 2.0))).markov.verdict == "prior"
-    assert (segment_as_paper(picture(np.full(SHAPE, 2.0))).labels == BACKGROUND).all()
 
 
 @pytest.mark.parametrize("rank", [0, 1, 2])

@@ -1,8 +1,7 @@
-"""Measure the live sea floor's time against its error, beside textures of grey levels of scikit-image."""
+"""Measure the live sea floor's time against its error."""
 
 from __future__ import annotations
 
-from importlib.util import find_spec
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -12,15 +11,13 @@ from auv_mcm.records import Tile
 from auv_mcm.seabed.seabed_cells import seabed_cells
 from auv_mcm.seabed.seabed_model import kind_indices, seabed_odds, shipped_seabed_model
 from auv_mcm.seabed.texture import Texture, measure_texture
-from sim_replay.benches.every_stage.grey_levels import grey_level_inputs, grey_level_odds, shipped_grey_levels
-from sim_replay.benches.every_stage.rows import Other, Row
+from sim_replay.benches.every_stage.rows import Row
 from sim_replay.fitting.seabed.samples import drawn_mission, tiles_of, true_shares
 
 JUDGED_SEEDS: Final = range(91010, 91020)
 """A mission like each of the ten named scenes; none was fitted on."""
 MIN_KNOWN: Final = 0.5  # of a cell's places, as where the payload's model is fitted
 _MAX_WRONG: Final = 0.3  # of cells of each kind; a check for what is broken, drawn missions differ much
-_OTHER: Final = "scikit-image grey-level co-occurrence"
 
 
 class _Judged(NamedTuple):
@@ -33,7 +30,7 @@ class _Judged(NamedTuple):
 
 
 def sea_floor_rows(n: int) -> list[Row]:
-    """Classify tiles of held-out missions, with neighbours and without; instead, by co-occurrences of grey levels."""
+    """Classify tiles of held-out missions, with neighbours and without."""
     judged = [_first_tile(seed) for seed in JUDGED_SEEDS[:n]]
     model, kinds = shipped_seabed_model(), kind_indices(shipped_seabed_model())
     shares = np.concatenate([each.shares for each in judged])
@@ -52,28 +49,15 @@ def sea_floor_rows(n: int) -> list[Row]:
             for found in textures
         ]
 
-    def by_grey_levels() -> list[NDArray[np.uint8]]:
-        other = shipped_grey_levels()
-        found = []
-        for tile, texture, cells, _ in judged:
-            kind = np.zeros(texture.features.shape[:2], dtype=np.uint8)
-            kind[tuple(cells.T)] = kinds[
-                grey_level_odds(grey_level_inputs(tile, cells, texture.cot_grazing), other).argmax(axis=1)
-            ]
-            found.append(kind)
-        return found
-
     def wrong(found: list[NDArray[np.uint8]]) -> float:
         taken = np.concatenate([kind[tuple(each.cells.T)] for kind, each in zip(found, judged, strict=True)])
         place = np.full(256, -1)  # of `unknown`, which counts as wrong
         place[kinds] = np.arange(len(kinds))
         return share_wrong(place[taken], shares)
 
-    missing = "" if find_spec("skimage") is not None else "scikit-image is not installed"
-    other = Other(_OTHER, by_grey_levels, missing=missing)
     cells, unit = f"{len(judged)} tiles, {len(shares)} cells", "share of cells wrong, mean over kinds"
     return [
-        Row("sea floor", f"{name}, {cells}", work, wrong, unit, _MAX_WRONG, other)
+        Row("sea floor", f"{name}, {cells}", work, wrong, unit, _MAX_WRONG)
         for name, work in (("each cell alone", alone), ("with neighbours", with_neighbours))
     ]
 

@@ -16,7 +16,6 @@ from auv_mcm.waterfall.bottom import BottomTracker
 from auv_mcm.waterfall.ground import make_traces, mean_between
 from sim_replay.augment.floor import recover_floor
 from sim_replay.benches.every_stage.cascade_rows import cascade_rows
-from sim_replay.benches.every_stage.confirmation_curves import contour_curve_rows, field_curve_rows, solid_curve_rows
 from sim_replay.benches.every_stage.confirmation_stages import contour_rows, field_rows, solid_rows
 from sim_replay.benches.every_stage.drawn_worlds import LIMITS, SEED, START, drawn_world, optimum_m2
 from sim_replay.benches.every_stage.framer_rows import framer_rows
@@ -186,9 +185,9 @@ STAGES: Final[dict[str, Callable[[int], list[Row]]]] = {
     "waterfall": resampling_rows,
     "bottom": bottom_rows,
     "cascade": cascade_rows,
-    "field": lambda n: [*field_rows(n), *field_curve_rows(n)],
-    "contours": lambda n: [*contour_rows(n), *contour_curve_rows(n)],
-    "solids": lambda n: [*solid_rows(n), *solid_curve_rows(n)],
+    "field": field_rows,
+    "contours": contour_rows,
+    "solids": solid_rows,
     "simulator": simulator_rows,
     "inversion": inversion_rows,
     "sea-floor": sea_floor_rows,

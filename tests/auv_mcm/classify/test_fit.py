@@ -14,8 +14,8 @@ from auv_mcm.classify.fit import SOLIDS, Effort, ShapeFit, ShapeFits, fit_shapes
 from auv_mcm.confirm.region import Region
 from auv_mcm.kernels.shape import FIRST_FIELD, Solid, solid_of
 from auv_mcm.solids.shapes import Cylinder, Shape, Sphere, TruncatedCone, Wedge
-from sim_replay.benches.every_stage.rendered_solids import CORRELATION_AREA, best_class, draw_object
 from tests.auv_mcm.classify.closed_forms import closed_form_region
+from tests.make.rendered_solids import CORRELATION_AREA, best_class, draw_object
 
 SHAPES: dict[Solid, Shape] = {
     "sphere": Sphere(radius_m=0.4),

@@ -8,13 +8,11 @@ from collections.abc import Callable, Iterator
 import msgspec
 import numpy as np
 import pytest
-from scipy import ndimage
 
 from auv_mcm.confirm.mrf import segment
 from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW
-from sim_replay.benches.every_stage.drawn_regions import Drawing, aperture_drawings, draw_region
-from sim_replay.benches.every_stage.paper_mrf import segment_as_paper
 from sim_replay.scoring.overlap import overlap
+from tests.make.drawn_regions import Drawing, aperture_drawings, draw_region
 
 
 def side_scan(n: int) -> Iterator[Drawing]:
@@ -66,24 +64,6 @@ def test_spiky_sea_floor_makes_no_objects(n_runs: Callable[[int, int], int]) -> 
     assert highlight >= 0.9
     region, _ = draw_region(Drawing(texture_nu=1.5, spread_rows=0.0, spread_columns=0.0, seed=1))
     assert segment(region).law.nu == pytest.approx(1.5, rel=0.3)
-
-
-def test_paper_breaks_the_shadow_that_is_whole_here(n_runs: Callable[[int, int], int]) -> None:
-    n_pieces: dict[str, list[int]] = {"paper": [], "ours": []}
-    overlaps: dict[str, list[float]] = {"paper": [], "ours": []}
-    for drawing in aperture_drawings(n_runs(6, 3), 1.2, seed=5):
-        region, truth = draw_region(drawing)
-        for name, labels in (("paper", segment_as_paper(region).labels), ("ours", segment(region).labels)):
-            overlaps[name].append(overlap(labels == SHADOW, truth == SHADOW))
-            holes = ndimage.label(ndimage.binary_erosion(truth == SHADOW, iterations=2) & (labels != SHADOW))[1]
-            n_pieces[name].append(holes + ndimage.label(labels == SHADOW)[1])
-    assert np.median(overlaps["ours"]) > np.median(overlaps["paper"]) + 0.2
-    assert np.median(n_pieces["ours"]) <= 2 < 10 < np.median(n_pieces["paper"])
-
-
-def test_paper_finds_the_shadow_where_speckle_is_white() -> None:
-    region, truth = draw_region(Drawing(spread_rows=0.0, spread_columns=0.0))
-    assert overlap(segment_as_paper(region).labels == SHADOW, truth == SHADOW) > 0.95
 
 
 def test_energy_is_within_its_gap_of_the_bound_and_more_sweeps_close_it() -> None:
@@ -149,7 +129,7 @@ def test_planes_that_do_not_fit_are_refused() -> None:
 
 def test_labels_are_bytes_of_the_three_classes() -> None:
     region, truth = draw_region(Drawing(seed=2))
-    for labels in (segment(region).labels, segment_as_paper(region).labels):
-        assert labels.dtype == np.uint8
-        assert labels.shape == truth.shape
-        assert set(np.unique(labels)) <= {BACKGROUND, SHADOW, HIGHLIGHT}
+    labels = segment(region).labels
+    assert labels.dtype == np.uint8
+    assert labels.shape == truth.shape
+    assert set(np.unique(labels)) <= {BACKGROUND, SHADOW, HIGHLIGHT}

@@ -19,7 +19,7 @@ from auv_mcm.confirm.speckle import (
     nyquist_factors,
 )
 from auv_mcm.kernels.speckle import half_differences, half_differences_in, half_differences_numpy
-from sim_replay.benches.every_stage.drawn_regions import Drawing, draw_region
+from tests.make.drawn_regions import Drawing, draw_region
 
 
 def sea_floor(seed: int, spread_rows: float, spread_columns: float) -> NDArray[np.float64]:

@@ -15,8 +15,8 @@ from auv_mcm.confirm import snake_rules
 from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region
 from auv_mcm.confirm.snake import Contours, Start, converge, start_from_detection, start_from_labels
 from auv_mcm.confirm.snake_rules import Findings, Spot, contour_mask
-from sim_replay.benches.every_stage.drawn_contours import box, drawn_pair, plain_region, random_start
 from sim_replay.scoring.overlap import overlap
+from tests.make.drawn_contours import box, drawn_pair, plain_region, random_start
 
 SHAPE = (128, 128)
 

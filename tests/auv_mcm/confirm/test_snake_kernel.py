@@ -18,7 +18,7 @@ from auv_mcm.kernels.snake_criterion import HIGHLIGHT, SHADOW, EdgeSums, Setting
 from auv_mcm.kernels.snake_descent import Course, descend, descend_numpy, row_intervals
 from auv_mcm.kernels.snake_elsewhere import elsewhere, elsewhere_numpy, evidence
 from auv_mcm.kernels.snake_twin import Moved
-from sim_replay.benches.every_stage.drawn_contours import box, drawn_pair, plain_region
+from tests.make.drawn_contours import box, drawn_pair, plain_region
 
 Floats = NDArray[np.float64]
 NONE = np.empty((0, 2))

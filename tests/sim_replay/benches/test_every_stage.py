@@ -4,18 +4,14 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import numpy as np
 import pytest
 
 from auv_mcm.cli import main
-from auv_mcm.kernels.trws import energy_of, trws
 from sim_replay.benches.every_stage import bench, stages
 from sim_replay.benches.every_stage.bench import EveryStageResults, moved_since, stage_history
-from sim_replay.benches.every_stage.cascade_rows import visited_by_opencv
-from sim_replay.benches.every_stage.expansion import expanded
 from sim_replay.benches.every_stage.rows import Alternative, Cost, Other, Row, StageRow, measured
 from sim_replay.benches.every_stage.sea_floor import share_wrong
 from sim_replay.benches.every_stage.shadow_ends import shadow_errors_m
@@ -91,15 +87,6 @@ def test_a_comparison_says_what_moved_and_nothing_else(now: StageRow, words: str
     assert (words in said) if words else said == ""
 
 
-def test_alpha_expansion_reaches_the_bound_of_easy_fields() -> None:
-    random = np.random.Generator(np.random.PCG64(1))
-    unary: Any = random.exponential(size=(12, 14, 3))
-    weight = np.array([0.1, 0.05, 0.1, 0.05])
-    found = energy_of(expanded(unary, weight), unary, weight)
-    bound = trws(unary, weight, 300)
-    assert bound.lower_bound - 1e-9 <= found <= 1.002 * bound.energy
-
-
 def test_a_history_has_a_row_per_stage_and_a_dash_where_one_was_not_measured() -> None:
     other = msgspec.structs.replace(row(), stage="another")
     (first, *cells), (second, *dashed) = stage_history([results(row()), results(row(), other)])
@@ -111,15 +98,6 @@ def test_a_history_has_a_row_per_stage_and_a_dash_where_one_was_not_measured() -
 def test_the_share_wrong_weighs_all_kinds_alike() -> None:
     shares = np.eye(4, dtype=np.float32)[[0, 0, 0, 1]]
     assert share_wrong(np.array([0, 0, 0, 3]), shares) == 0.5
-
-
-def test_opencv_skips_a_place_after_each_that_its_first_stage_rejects() -> None:
-    begun = np.zeros((3, 12), dtype=np.bool_)
-    begun[0, 4] = True
-    visited = visited_by_opencv(begun)
-    assert np.flatnonzero(visited[0]).tolist() == [0, 4, 6, 10]
-    assert np.flatnonzero(visited[2]).tolist() == [0, 4, 8]
-    assert not visited[1].any()
 
 
 def test_shadows_end_within_a_cell_of_where_they_should() -> None:

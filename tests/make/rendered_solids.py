@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from auv_mcm.classify.evidence import TEMPERATURE
 from auv_mcm.classify.fit import SOLIDS, ShapeFit, ShapeFits
@@ -32,20 +31,11 @@ _SHADOW: Final = 0.1  # of the floor: -10 dB
 
 
 class DrawnSolid(NamedTuple):
-    """Hold one object and its views 90 degrees apart. sizes_m: (n,) in the order of SIZES."""
+    """Hold one object and its views 90 degrees apart."""
 
     solid: Solid
-    sizes_m: NDArray[np.float64]
     ground_range_m: float
     views: tuple[Region, Region]
-
-
-SIZES: Final[dict[Solid, tuple[str, ...]]] = {
-    "sphere": ("radius_m",),
-    "cylinder": ("radius_m", "length_m"),
-    "truncated_cone": ("base_radius_m", "height_m"),
-    "wedge": ("length_m", "height_m"),
-}
 
 
 def best_class(views: Sequence[ShapeFits]) -> Solid | None:
@@ -82,21 +72,20 @@ def draw_object(solid: Solid, seed: int) -> DrawnSolid:
     size: dict[str, Any]
     match solid:
         case "sphere":
-            size, sizes = {"width_m": 0.8 * scale}, [0.4 * scale]
+            size = {"width_m": 0.8 * scale}
         case "cylinder":
-            size, sizes = {"width_m": 0.53 * scale, "length_m": 2.0 * long}, [0.265 * scale, 2.0 * long]
+            size = {"width_m": 0.53 * scale, "length_m": 2.0 * long}
         case "truncated_cone":
-            size, sizes = {"width_m": 0.98 * scale, "height_m": 0.47 * scale}, [0.49 * scale, 0.47 * scale]
+            size = {"width_m": 0.98 * scale, "height_m": 0.47 * scale}
         case "wedge":
             size = {"length_m": 1.02 * scale, "width_m": 0.8 * scale, "height_m": 0.385 * scale}
-            sizes = [1.02 * scale, 0.385 * scale]
     scene_object = SceneObject(kind=solid, east_m=range_m, north_m=0.0, azimuth_deg=azimuth_deg, **size)
     turned = SceneObject(kind=solid, east_m=range_m, north_m=0.0, azimuth_deg=azimuth_deg + 90.0, **size)
     views = (
         rendered_region(scene_object, 2 * seed, altitude_error=_ALTITUDE_ERROR * error),
         rendered_region(turned, 2 * seed + 1, altitude_error=-_ALTITUDE_ERROR * error),
     )
-    return DrawnSolid(solid, np.array(sizes), range_m, views)
+    return DrawnSolid(solid, range_m, views)
 
 
 def rendered_region(scene_object: SceneObject, seed: int, *, altitude_error: float = 0.0) -> Region:
