@@ -1,4 +1,4 @@
-"""Render a training set: `python -m sim_replay.fitting.cascade.training_images [SPEC.yaml] --out DIR`.
+"""Render a training set, for `auv-mcm train`.
 
 Missions, simulated or recorded with targets put into them, go through the pipeline up to its tiles. What lies in each
 tile follows from the truth of the mission. Every mission is a task of its own, on the cores of this computer or on a
@@ -20,17 +20,14 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from auv_mcm.clean_text import clean_lines
-from auv_mcm.commands import Parser
 from auv_mcm.detect.cascade.codes import codes_of
 from auv_mcm.detect.detect_tile import TileDetections, worth_looking
-from auv_mcm.errors import AuvMcmError, BadInputError, UsageError
+from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import LOW_RESOLUTION, NAN, VALID, SourceEvent, Tile
 from auv_mcm.safe_files import read_regular
 from auv_mcm.settings.config import Config
 from auv_mcm.shell.whole_files import make_directory
-from sim_replay.arguments import count
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
 from sim_replay.fitting.cascade.place import PlacedTarget, cropped, objects_in
 from sim_replay.fitting.cascade.spec import AugmentedLine, SimulatedLine, lines_of, read_training_spec
@@ -159,26 +156,6 @@ def render_set(spec_path: Path | None, folder: Path, farm: Farm) -> Manifest:
         print(file=sys.stderr)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Write the pictures of a training set."""
-    parser = Parser(prog="python -m sim_replay.fitting.cascade.training_images", description=__doc__)
-    parser.add_argument(
-        "spec", nargs="?", type=Path, metavar="SPEC.yaml", help="what to render (default: the set that ships)"
-    )
-    parser.add_argument(
-        "--out", type=Path, required=True, metavar="DIR", help="folder for the shards and their manifest"
-    )
-    parser.add_argument(
-        "--workers", type=count, default=2, help="missions rendered at once on this computer (default 2)"
-    )
-    parser.add_argument(
-        "--scheduler", metavar="tcp://HOST:PORT", help="render on the cluster of this dask scheduler instead"
-    )
-    chosen = parser.parse_args(arguments)
-    print(tile_set_words(render_set(chosen.spec, chosen.out, Farm(chosen.workers, chosen.scheduler))))
-    return 0
-
-
 def tile_set_words(manifest: Manifest) -> str:
     """Describe a training set, a line per split."""
     lines = []
@@ -270,11 +247,3 @@ def _each_once(packed: Iterable[Packed]) -> Iterator[Packed]:
             )
         splits[background] = split
         yield item
-
-
-if __name__ == "__main__":
-    try:
-        raise SystemExit(main())
-    except AuvMcmError as error:
-        print(clean_lines(f"render: {error}"), file=sys.stderr)
-        raise SystemExit(error.exit_code) from None

@@ -17,9 +17,14 @@ from sim_replay.fitting.cascade.farm import Farm
 from sim_replay.fitting.cascade.spec import AugmentedLine, SimulatedLine, lines_of, parse_training_spec
 from sim_replay.fitting.cascade.store import read_manifest, read_shard, read_tiles
 from sim_replay.fitting.cascade.tiles import LabelledTile, TileObject
-from sim_replay.fitting.cascade.training_images import OVERLAP_M, main, render_line, render_set, simulated_tiles
+from sim_replay.fitting.cascade.training_images import (
+    OVERLAP_M,
+    render_line,
+    render_set,
+    simulated_tiles,
+    tile_set_words,
+)
 from sim_replay.simulate import simulate
-from tests.sim_replay.fitting.cascade.held_out_flights import Flight, fly_all, held_out
 
 SCENE = """
 name: bay
@@ -200,28 +205,10 @@ def test_targets_without_room_are_reported_before_any_mission_is_flown(folder: P
     assert not (tmp_path / "out").exists()
 
 
-def test_the_command_describes_a_set(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_set_is_described(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "bay.yaml").write_text(SHORT_SCENE)
     (tmp_path / "set.yaml").write_text(SHORT_SPEC)
-    assert main([str(tmp_path / "set.yaml"), "--out", str(tmp_path / "out"), "--workers", "1"]) == 0
-    printed = capsys.readouterr()
-    assert printed.out.startswith("train: 1 missions, ")
-    assert "looks at targets (sand " in printed.out
-    assert "1 of 1 missions rendered" in printed.err
-
-
-def test_held_out_missions_come_back_ready_to_be_scored(short: SimulatedLine) -> None:
-    (mission,) = fly_all([Flight(msgspec.structs.replace(short.scene, seed=9200), short.config)], Farm())
-    assert mission.name == "bay, seed 9200"
-    assert sum(target.is_target for target in mission.truth.objects) == 3
-    assert len(mission.contacts) > 0
-
-
-def test_held_out_flights_know_the_sonar_and_keep_the_configuration(line: SimulatedLine) -> None:
-    config = msgspec.structs.replace(line.config, mission="held out")
-    flights = held_out(["flat", "shallow"], [9200, 9201], config)
-    assert [(flight.scene.name, flight.scene.seed) for flight in flights] == [
-        *(("flat", 9200), ("flat", 9201), ("shallow", 9200), ("shallow", 9201)),
-    ]
-    assert [flight.config.sonar.beam_width_deg for flight in flights] == [0.4, 0.4, 0.3, 0.3]
-    assert {flight.config.mission for flight in flights} == {"held out"}
+    words = tile_set_words(render_set(tmp_path / "set.yaml", tmp_path / "out", Farm()))
+    assert words.startswith("train: 1 missions, ")
+    assert "looks at targets (sand " in words
+    assert "1 of 1 missions rendered" in capsys.readouterr().err
