@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Sequence
 from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
@@ -20,7 +19,7 @@ Point: TypeAlias = tuple[float, float]
 HIGHLIGHT: Final = 0  # indices of the two polygons and of what neither holds; equal in C
 SHADOW: Final = 1  # see HIGHLIGHT
 BACKGROUND: Final = 2  # see HIGHLIGHT
-# 2 ln(2e), nats: of the code length of a node (see polygon_cost); equal in C
+# 2 ln(2e), nats: of the code length of a node (see _own_cost); equal in C
 _TWICE_LOG_2E: Final = 2.0 * 1.6931471805599454
 
 
@@ -184,15 +183,10 @@ def parameter_code(settings: Settings, count: float) -> float:
     return 0.5 * math.log(samples) if samples > 1.0 else 0.0
 
 
-def polygon_cost(settings: Settings, which: int, nodes: Nodes | Sequence[Point], sums: EdgeSums) -> float:
-    """Compute the cost of a polygon by itself: its region's likelihood, its nodes, its mean."""
-    rows, columns = zip(*nodes, strict=True)
-    return _own_cost(settings, which, rows, columns, sums)
-
-
 def _own_cost(
     settings: Settings, which: int, rows: tuple[float, ...], columns: tuple[float, ...], sums: EdgeSums
 ) -> float:
+    """Compute the cost of a polygon by itself, nats: its region's likelihood, its nodes, its mean."""
     n = float(len(rows))
     row_step = sum(map(abs, map(operator.sub, rows, rows[1:] + rows[:1])))
     column_step = sum(map(abs, map(operator.sub, columns, columns[1:] + columns[:1])))

@@ -128,6 +128,16 @@ class Sea:
         return [notice.code for notice in self.pilot.take_notices()]
 
 
+def commanding(for_s: float = 0.0) -> Sea:
+    """A payload that has had control of two legs for so long."""
+    sea = Sea()
+    sea.pilot.propose(TWO_LEGS, sea.now_s)
+    sea.until("granted")
+    if for_s:
+        sea.tick(for_s)
+    return sea
+
+
 @pytest.mark.parametrize("capabilities", [GOES_BY_ITSELF, IS_STEERED])
 def test_a_plan_is_flown_and_control_returned(capabilities: Capability) -> None:
     sea = Sea(capabilities)
@@ -177,10 +187,7 @@ def test_nothing_is_asked_for_without_a_plan_or_without_leave_to_command() -> No
 
 
 def test_the_vehicle_takes_control_back_and_the_broken_leg_is_flown_again_later() -> None:
-    sea = Sea()
-    sea.pilot.propose(TWO_LEGS, sea.now_s)
-    sea.until("granted")
-    sea.tick(45.0)  # on the first leg
+    sea = commanding(45.0)  # on the first leg
     assert "leg=1/2" in sea.pilot.health()
     sea.hear(Withheld("operator"))
     assert sea.pilot.authority == "revoked"
@@ -197,10 +204,7 @@ def test_the_vehicle_takes_control_back_and_the_broken_leg_is_flown_again_later(
 
 
 def test_control_is_returned_when_the_position_is_lost() -> None:
-    sea = Sea()
-    sea.pilot.propose(TWO_LEGS, sea.now_s)
-    sea.until("granted")
-    sea.tick(1.0)
+    sea = commanding(1.0)
     sea.talks = False
     for _ in range(32):
         sea.hear(Acknowledged(1))  # it still speaks
@@ -216,10 +220,7 @@ def test_control_is_returned_when_the_position_is_lost() -> None:
     [({"altitude_m": 1.5}, "too_low"), ({"depth_m": 120.0}, "too_deep"), ({"latitude_deg": 54.01}, "outside_fence")],
 )
 def test_control_is_returned_when_the_vehicle_is_where_it_must_not_be(reported: dict[str, float], code: str) -> None:
-    sea = Sea()
-    sea.pilot.propose(TWO_LEGS, sea.now_s)
-    sea.until("granted")
-    sea.tick(1.0)
+    sea = commanding(1.0)
     sea.reported |= reported
     n_commands = len(sea.dialect.commands)
     sea.tick(5.0)
@@ -240,10 +241,7 @@ def test_every_refusal_is_logged_with_its_reason(caplog: pytest.LogCaptureFixtur
 
 
 def test_silence_ends_control_and_speech_brings_it_back() -> None:
-    sea = Sea()
-    sea.pilot.propose(TWO_LEGS, sea.now_s)
-    sea.until("granted")
-    sea.tick(1.0)
+    sea = commanding(1.0)
     sea.talks = False
     sea.until("down", within_s=3.5)
     assert len(sea.released()) == 1
@@ -262,10 +260,7 @@ def test_noise_is_no_sign_of_life() -> None:
 
 
 def test_a_payload_that_stalled_gives_control_back_before_anything_else_leaves() -> None:
-    sea = Sea()
-    sea.pilot.propose(TWO_LEGS, sea.now_s)
-    sea.until("granted")
-    sea.tick(2.0)
+    sea = commanding(2.0)
     n_commands = len(sea.dialect.commands)
     sea.now_s += 5.5
     sea.tick()
@@ -288,9 +283,7 @@ def test_an_old_plan_is_dropped_unless_it_is_proposed_again() -> None:
 
 
 def test_a_withdrawn_plan_ends_control() -> None:
-    sea = Sea()
-    sea.pilot.propose(TWO_LEGS, sea.now_s)
-    sea.until("granted")
+    sea = commanding()
     sea.pilot.propose((), sea.now_s)
     sea.tick()
     assert sea.pilot.authority == "listening"
@@ -298,10 +291,7 @@ def test_a_withdrawn_plan_ends_control() -> None:
 
 
 def test_a_new_plan_takes_the_place_of_the_one_before_without_letting_go() -> None:
-    sea = Sea()
-    sea.pilot.propose(TWO_LEGS, sea.now_s)
-    sea.until("granted")
-    sea.tick(10.0)
+    sea = commanding(10.0)
     sea.pilot.propose(plan(((50.0, 0.0), (100.0, 0.0)), start_m=sea.place_m), sea.now_s)
     sea.tick(0.2)
     command = sea.dialect.commands[-1][1]
@@ -323,9 +313,7 @@ def test_turns_that_are_behind_the_vehicle_are_not_flown() -> None:
 
 
 def test_the_service_stops() -> None:
-    sea = Sea()
-    sea.pilot.propose(TWO_LEGS, sea.now_s)
-    sea.until("granted")
+    sea = commanding()
     sea.pilot.release("the service stops", sea.now_s)
     assert sea.released() == ["the service stops"]
     sea.pilot.propose(TWO_LEGS, sea.now_s)
@@ -336,10 +324,7 @@ def test_the_service_stops() -> None:
 
 
 def test_the_wire_breaks_in_control() -> None:
-    sea = Sea()
-    sea.pilot.propose(TWO_LEGS, sea.now_s)
-    sea.until("granted")
-    sea.tick(1.0)
+    sea = commanding(1.0)
     sea.pilot.disconnected(sea.now_s)
     assert sea.pilot.authority == "down"
     assert sea.dialect.calls[-2:] == ["release the wire is closed", "disconnected"]
