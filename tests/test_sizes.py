@@ -30,10 +30,10 @@ class Limit(NamedTuple):
 LINES: Final = {
     "auv_mcm": Limit(41_230, 35_500),
     "drivers": Limit(18_130, 15_500),
-    "sim_replay": Limit(51_910, 42_000),
+    "sim_replay": Limit(51_860, 42_000),
     "sim_replay/augment": Limit(2_210, 2_400),
     "sim_replay/batch": Limit(570, 600),
-    "sim_replay/benches": Limit(7_510, 6_000),
+    "sim_replay/benches": Limit(7_460, 6_000),
     "sim_replay/commands": Limit(2_000, 700),
     "sim_replay/fakes": Limit(4_280, 3_500),
     "sim_replay/fitting": Limit(7_750, 5_200),

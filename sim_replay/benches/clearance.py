@@ -19,8 +19,7 @@ from auv_mcm.contacts.contact import is_mine_like
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Contact, CoveragePatch
-from sim_replay.benches.experiment import Cell, Column, Experiment, Task, number
-from sim_replay.benches.mission_source import mission_source
+from sim_replay.benches.experiment import Cell, Column, Experiment, Task, mission_source, number
 from sim_replay.fitting.detection_performance.looks import GATE_M
 from sim_replay.flights import fly_through
 from sim_replay.missions import SCENES

@@ -7,10 +7,12 @@ each column says of the missions of one variant. Recorded lines with targets emb
 from __future__ import annotations
 
 import argparse
+import gc
 import math
 import os
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final, Generic, NamedTuple, TypeVar
 
@@ -19,17 +21,18 @@ import msgspec
 from auv_mcm.errors import UsageError
 from sim_replay.arguments import count, new_file
 from sim_replay.augment.recorded_line import check_lines
-from sim_replay.benches.mission_options import add_line_options, chosen_draws, chosen_scenes, chosen_seeds
 from sim_replay.benches.run_time.bench import write_result
+from sim_replay.benches.run_time.lines import add_line_options
 from sim_replay.benches.run_time.measure import BenchMachine, this_machine
 from sim_replay.benches.run_time.results import read_bench_file
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
+from sim_replay.flights import Flight, flight_along, flight_through
 from sim_replay.scoring.intervals import Density, Proportion
 from sim_replay.scoring.thresholds import resampled
-from sim_replay.simulator.scene_file import named_scenes
+from sim_replay.simulator.scene import Scene
+from sim_replay.simulator.scene_file import named_scenes, read_scene
 from sim_replay.text_tables import NOTHING, columns, density_cell, markdown, share_cell
 
-DRAWN: Final = "drawn"  # the scene of a task whose world its seed draws
 _FORMAT_VERSION: Final = 1  # of the file; a change of its fields raises it
 _PAIRED_SEED: Final = 1  # of missions drawn again, fixed so that reports repeat
 _SAME: Final = 1e-9  # relative, and absolute: rounding is no change of a figure
@@ -74,11 +77,11 @@ class PairedColumn(NamedTuple, Generic[Result]):
 class Experiment(NamedTuple, Generic[Result]):
     """Declare an experiment.
 
-    scenes: by default; none where every world is drawn from its seed. variants: their names, in the order of the table;
-    the first is what others are compared with. variant_title: heads them. fly: flies one mission with every variant, of
-    a module's top level, so that processes can share the work. n_draws: of targets per recorded line; 0 if it takes
-    none. by_scene: whether each scene has rows of its own, before those of all. add_options: adds the experiment's own
-    options, of which `own_options` names those that `fly` needs. words: says below the table what fits in no column.
+    scenes: by default. variants: their names, in the order of the table; the first is what others are compared with.
+    variant_title: heads them. fly: flies one mission with every variant, of a module's top level, so that processes can
+    share the work. n_draws: of targets per recorded line; 0 if it takes none. by_scene: whether each scene has rows of
+    its own, before those of all. add_options: adds the experiment's own options, of which `own_options` names those
+    that `fly` needs. words: says below the table what fits in no column.
     A mission may lack variants, but for the first where figures are paired.
     """
 
@@ -99,26 +102,14 @@ class Experiment(NamedTuple, Generic[Result]):
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         """Add the options that every experiment has, and its own."""
         first = self.first_seed
-        if self.scenes:
-            parser.add_argument(
-                "--seeds", type=count, default=self.n_seeds, help=f"missions per scene (default {self.n_seeds})"
-            )
-            parser.add_argument(
-                "--first-seed", type=count, default=first, help=f"seed of each scene's first mission (default {first})"
-            )
-            parser.add_argument("--scenes", help=f"by name, with commas between (default {','.join(self.scenes)})")
-            parser.add_argument("--scene", action="append", metavar="NAME", help="one of them, repeatable")
-        else:
-            parser.add_argument(
-                "--missions",
-                dest="seeds",
-                type=count,
-                default=self.n_seeds,
-                help=f"worlds, each flown with every variant (default {self.n_seeds})",
-            )
-            parser.add_argument(
-                "--first-seed", type=count, default=first, help=f"seed of the first world (default {first})"
-            )
+        parser.add_argument(
+            "--seeds", type=count, default=self.n_seeds, help=f"missions per scene (default {self.n_seeds})"
+        )
+        parser.add_argument(
+            "--first-seed", type=count, default=first, help=f"seed of each scene's first mission (default {first})"
+        )
+        parser.add_argument("--scenes", help=f"by name, with commas between (default {','.join(self.scenes)})")
+        parser.add_argument("--scene", action="append", metavar="NAME", help="one of them, repeatable")
         if self.n_draws:
             add_line_options(parser, self.n_draws)
         self.add_options(parser)
@@ -135,10 +126,12 @@ class Experiment(NamedTuple, Generic[Result]):
         scenes = _scenes_of(self, arguments)
         old = None if arguments.compare is None else read_experiment(arguments.compare, self.name)
         options = {name: getattr(arguments, name) for name in self.own_options}
-        tasks = [Task(scene, seed, options) for scene in scenes or (DRAWN,) for seed in chosen_seeds(arguments)]
+        first = arguments.first_seed
+        tasks = [Task(scene, seed, options) for scene in scenes for seed in range(first, first + arguments.seeds)]
         if self.n_draws and arguments.log:
-            check_lines(arguments.log, chosen_draws(arguments))
-            tasks += [Task(str(log), seed, options) for log in arguments.log for seed in chosen_draws(arguments)]
+            draws = range(first, first + arguments.log_seeds)
+            check_lines(arguments.log, draws)
+            tasks += [Task(str(log), seed, options) for log in arguments.log for seed in draws]
         load = os.getloadavg()[0]
         flown = list(run_tasks(self.fly, tasks, Farm(arguments.workers), counted(len(tasks))))
         rows = experiment_rows(self, [Path(task.scene).stem for task in tasks], flown)
@@ -204,13 +197,27 @@ def counted(total: int) -> Callable[[int], None]:
 
 
 def _scenes_of(experiment: Experiment[Any], arguments: argparse.Namespace) -> tuple[str, ...]:
-    if not experiment.scenes:
-        return ()
+    """Choose scenes. Raises UsageError for one that is not there or is named twice, and for both options at once."""
     if arguments.scene and arguments.scenes is not None:
         raise UsageError("--scene and --scenes both choose scenes: give one of them")
-    if arguments.scene:
-        return chosen_scenes(",".join(arguments.scene))
-    return chosen_scenes(",".join(experiment.scenes) if arguments.scenes is None else arguments.scenes)
+    text = ",".join(arguments.scene or experiment.scenes) if arguments.scenes is None else arguments.scenes
+    names = tuple(text.split(","))
+    if unknown := [repr(name) for name in names if name not in named_scenes()]:
+        raise UsageError(f"--scenes: there is no {', '.join(unknown)}. Choose from {', '.join(named_scenes())}")
+    if len(set(names)) < len(names):
+        raise UsageError(f"--scenes {text}: a scene is named twice. Name each once")
+    return names
+
+
+@contextmanager
+def mission_source(task: Task, change: Callable[[Scene], Scene] = lambda scene: scene) -> Iterator[Flight]:
+    """Prepare a task's mission; files that it needs go when it is left. change: of a named scene, after its seed."""
+    gc.collect()  # a mission refers to itself: the sea floor of the one before, 300 MB, would stay for long
+    if task.scene in named_scenes():
+        yield flight_through(change(msgspec.structs.replace(read_scene(task.scene), seed=task.seed)))
+        return
+    with flight_along(Path(task.scene), task.seed) as flight:
+        yield flight
 
 
 def experiment_rows(
@@ -228,7 +235,7 @@ def experiment_rows(
         What each variant made of each mission.
     """
     groups = {name: [one for one, scene in zip(flown, scenes, strict=True) if scene == name] for name in scenes}
-    simulated = [one for one, scene in zip(flown, scenes, strict=True) if scene in (*named_scenes(), DRAWN)]
+    simulated = [one for one, scene in zip(flown, scenes, strict=True) if scene in named_scenes()]
     pooled = {"all": list(flown)}
     if 0 < len(simulated) < len(flown):
         recorded = [one for one, scene in zip(flown, scenes, strict=True) if scene not in named_scenes()]

@@ -25,8 +25,7 @@ from auv_mcm.records import SEABED_TYPES, CoveragePatch, SeabedCells, Tile
 from auv_mcm.safe_files import read_regular
 from auv_mcm.seabed.seabed_cells import seabed_cells
 from auv_mcm.seabed.seabed_model import SeabedModel, parse_seabed_model, shipped_seabed_model
-from sim_replay.benches.experiment import Cell, Column, Experiment, Task, number
-from sim_replay.benches.mission_source import mission_source
+from sim_replay.benches.experiment import Cell, Column, Experiment, Task, mission_source, number
 from sim_replay.fitting.seabed.seabed_score import Shares, confusion_m2, shares
 from sim_replay.flights import Flight, fly_through
 from sim_replay.missions import SCENES

@@ -13,8 +13,8 @@ import pytest
 from auv_mcm.cli import main
 from auv_mcm.geometry.shadow import shadow_height_m
 from sim_replay.benches.every_stage import bench
+from sim_replay.benches.every_stage.stages import every_row
 from sim_replay.benches.stability.rows import Found, NumberRow, Watch, measure_row, relative
-from sim_replay.benches.stability.stress_table import every_row
 
 ROWS = {row.name: row for row in every_row()}
 

@@ -18,12 +18,11 @@ import msgspec
 from auv_mcm.errors import UsageError
 from sim_replay.arguments import count, new_file
 from sim_replay.benches.every_stage.rows import Alternative, Cost, StageRow, measured
-from sim_replay.benches.every_stage.stages import STAGES
+from sim_replay.benches.every_stage.stages import STAGES, every_row
 from sim_replay.benches.run_time.bench import progress, write_result
 from sim_replay.benches.run_time.measure import BenchMachine, this_machine
 from sim_replay.benches.run_time.results import read_bench_file
 from sim_replay.benches.stability.rows import STRESS_HEADER, NumberResult, measure_row, stress_cells
-from sim_replay.benches.stability.stress_table import every_row
 from sim_replay.text_tables import NOTHING, columns, markdown
 
 HEADER: Final = ("stage", "setting", "ms", "error", "unit", "alternative", "its ms", "its error", "")

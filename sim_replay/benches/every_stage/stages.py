@@ -23,6 +23,10 @@ from sim_replay.benches.every_stage.log_reading import log_rows
 from sim_replay.benches.every_stage.rows import Other, Row
 from sim_replay.benches.every_stage.sea_floor import sea_floor_rows
 from sim_replay.benches.every_stage.shadow_ends import shadow_errors_m
+from sim_replay.benches.stability.back_rows import back_rows
+from sim_replay.benches.stability.confirmation_rows import confirmation_rows
+from sim_replay.benches.stability.front_rows import front_rows
+from sim_replay.benches.stability.rows import NumberRow
 
 Plane = NDArray[np.float64]
 
@@ -195,3 +199,8 @@ STAGES: Final[dict[str, Callable[[int], list[Row]]]] = {
     "framers": framer_rows,
 }
 """What declares each stage's rows for a number of inputs, in the order of the chain."""
+
+
+def every_row() -> list[NumberRow]:
+    """List the rows of every numerical stage under stress, in the order of the chain."""
+    return [*front_rows(), *confirmation_rows(), *back_rows()]

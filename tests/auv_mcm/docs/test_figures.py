@@ -12,7 +12,7 @@ import pytest
 
 from auv_mcm.classify.odds import shipped_odds
 from auv_mcm.clearance.residual import remaining_mines
-from sim_replay.benches.stability.stress_table import every_row
+from sim_replay.benches.every_stage.stages import every_row
 from sim_replay.hil.scenario import shipped
 from tests.golden.answers import Answer, read_stored, scene_names
 
