@@ -21,7 +21,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.confirm.likelihoods import BackgroundLaw, choose_background_law
-from auv_mcm.confirm.markov_estimate import estimate_smoothness
 from auv_mcm.confirm.mean_field import SPIKE, ClassMeans, data_costs, fit_means, start_means
 from auv_mcm.confirm.mrf_priors import pair_prior, without_odd_clusters
 from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region, require_sound
@@ -85,9 +84,7 @@ class Segmentation(msgspec.Struct, frozen=True, kw_only=True, eq=False):
         return max(0.0, self.energy - self.lower_bound)
 
 
-def segment(
-    region: Region, *, n_sweeps: int = DEFAULT_SWEEPS, smoothness: float | None = None, estimate_markov: bool = False
-) -> Segmentation:
+def segment(region: Region, *, n_sweeps: int = DEFAULT_SWEEPS, smoothness: float | None = None) -> Segmentation:
     """Label a region.
 
     Pixels that are not valid, not finite or negative count as not measured.
@@ -99,8 +96,6 @@ def segment(
     smoothness
         Cost of an edge between unlike blocks of one speckle grain, nats; without it what the shadow of the smallest
         mine survives.
-    estimate_markov
-        Estimate it instead from the labels of the mean field (Derin and Elliott), which passes their errors on.
 
     Raises
     ------
@@ -137,9 +132,6 @@ def segment(
 
     unary = data_costs(blocks, information, means, law)
     labels = probability.argmax(axis=0).astype(np.uint8)
-    if estimate_markov:
-        smoothness = estimate_smoothness(labels, smoothness).smoothness
-        weight = edge_weights(smoothness, factors, correlation)
     minimum = None
     for _ in range(_PRIOR_ROUNDS):
         start = None if minimum is None else minimum.messages

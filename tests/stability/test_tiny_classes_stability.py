@@ -115,13 +115,6 @@ def test_absent_classes_are_flagged_and_keep_means_on_their_side_of_the_floor() 
     assert 2.0 * answer.background_mean <= answer.highlight_mean < math.inf
 
 
-@pytest.mark.parametrize("estimate", [False, True])
-def test_a_field_of_one_label_leaves_the_smoothness_to_the_prior(estimate: bool) -> None:
-    flat = picture(np.random.Generator(np.random.PCG64(2)).gamma(4.0, 0.25, SHAPE))
-    answer = segment(flat, estimate_markov=estimate)
-    assert 0.2 <= answer.smoothness <= 2.0
-
-
 @pytest.mark.parametrize("rank", [0, 1, 2])
 @pytest.mark.parametrize("steepness", [1e-12, 1.0, 1e12, 1e100])
 def test_uncertainty_of_what_the_cost_does_not_determine_is_wide_and_finite(rank: int, steepness: float) -> None:

@@ -1,4 +1,4 @@
-"""Priors of the label field against plain loops, and its smoothness estimated from fields drawn from the model."""
+"""Priors of the label field against plain loops."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from auv_mcm.confirm.markov_estimate import estimate_smoothness
 from auv_mcm.confirm.mrf_priors import pair_prior, without_odd_clusters
 from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region
 from auv_mcm.kernels import pair_costs as pairs
@@ -80,43 +79,6 @@ def test_only_clusters_of_a_mines_size_stay_highlight() -> None:
         (r, c) for r in range(10, 14) for c in range(10, 14)
     }
     assert ((kept == SHADOW) == (labels == SHADOW)).all()
-
-
-def gibbs_field(smoothness: float, size: int, n_sweeps: int, seed: int) -> NDArray[np.uint8]:
-    """A sample of the model on a torus: cells of one colour of four do not see each other."""
-    random = np.random.Generator(np.random.PCG64(seed))
-    labels = random.integers(0, 3, (size, size))
-    shifts = [(dr, dc) for dr in (-1, 0, 1) for dc in (-1, 0, 1) if (dr, dc) != (0, 0)]
-    for _ in range(n_sweeps):
-        for colour in ((0, 0), (0, 1), (1, 0), (1, 1)):
-            energy = np.zeros((3, size, size))
-            for dr, dc in shifts:
-                neighbour = np.roll(labels, (dr, dc), (0, 1))
-                weight = smoothness * (1.0 if dr == 0 or dc == 0 else math.sqrt(0.5))
-                energy += weight * (neighbour != np.arange(3)[:, None, None])
-            drawn = (-energy + random.gumbel(size=energy.shape)).argmax(axis=0)
-            labels[colour[0] :: 2, colour[1] :: 2] = drawn[colour[0] :: 2, colour[1] :: 2]
-    return labels.astype(np.uint8)
-
-
-@pytest.mark.parametrize("smoothness", [0.26, 0.3, 0.4])
-def test_smoothness_of_a_field_is_found(smoothness: float) -> None:
-    estimate = estimate_smoothness(gibbs_field(smoothness, 96, 60, 4), 1.0)
-    assert estimate.verdict == "estimated"
-    assert estimate.smoothness == pytest.approx(smoothness, rel=0.15)
-
-
-@pytest.mark.parametrize(
-    "labels", [np.zeros((40, 40)), np.zeros((2, 40)), np.ones((1, 1)), np.kron(np.eye(2), np.ones((20, 20)))]
-)
-def test_a_field_without_information_leaves_the_prior(labels: NDArray[np.float64]) -> None:
-    estimate = estimate_smoothness(labels.astype(np.uint8), 0.7)
-    assert (estimate.smoothness, estimate.verdict) == (0.7, "prior")
-
-
-def test_white_labels_are_clipped_to_the_range() -> None:
-    labels = np.random.Generator(np.random.PCG64(1)).integers(0, 3, (80, 80)).astype(np.uint8)
-    assert estimate_smoothness(labels, 1.0).smoothness == 0.2
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 12), (9, 1), (17, 30)])
