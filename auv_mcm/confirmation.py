@@ -103,20 +103,20 @@ def confirm_detection(
         Of `opinions_on`, where it is known already.
     """
     sizes = size_evidence(shipped_targets()) if sizes is None else sizes
-    p_detector = detector_p_mine(detection, odds)
+    ratio = _detector_ratio(detection, odds)
+    p_by_step: dict[LookStep, float] = {"detector": odds.p_mine(ratio)}
     surroundings = detection.surroundings
-    if surroundings is None or (p_detector < config.min_p_mine and "detector-odds" not in without_skips):
-        return without_confirmation(detection, odds, "not_looked_at")
+    if surroundings is None or (p_by_step["detector"] < config.min_p_mine and "detector-odds" not in without_skips):
+        return _ended(detection, p_by_step, "not_looked_at")
     region = region_of(detection, surroundings, beam_width_rad)
     if (fault := _fault(region)) is not None:
-        return without_confirmation(detection, odds, fault)
-    p_by_step: dict[LookStep, float] = {"detector": p_detector}
+        return _ended(detection, p_by_step, fault)
     min_p_mine = 0.0 if "contour-odds" in without_skips else config.min_p_mine
     verified = None
     if odds.verifier is not None:
         if opinion is None:
             (opinion,) = opinions_on([detection], beam_width_rad, odds)
-        verified = odds.verified_ratio(_detector_ratio(detection, odds), opinion.nats)
+        verified = odds.verified_ratio(ratio, opinion.nats)
         p_by_step["verifier"] = odds.p_mine(verified)
         if opinion is not NO_OPINION:
             detection = msgspec.structs.replace(detection, kind_nats=opinion.kind_nats)

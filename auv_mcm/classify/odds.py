@@ -116,12 +116,11 @@ class _Forest(NamedTuple):
     def added_to(self, start: float, features: Mapping[str, float]) -> float:
         """Add the leaf of each tree in turn. Raises KeyError for a feature that is missing."""
         values = np.array([features[name] for name in self.names] or [0.0])
-        is_above = (values[self.feature] > self.threshold).astype(np.intp)
-        led_to = self.leads[is_above, np.arange(len(self.feature))]
+        led_to = np.where(values.take(self.feature) > self.threshold, self.leads[1], self.leads[0])
         place = self.roots
         for _ in range(self.depth):
-            place = led_to[place]
-        terms = np.concatenate(([start], self.nats[place]))
+            place = led_to.take(place)
+        terms = np.concatenate(([start], self.nats.take(place)))
         return float(np.add.accumulate(terms)[-1])  # in order: numpy's own sum pairs its terms
 
 
