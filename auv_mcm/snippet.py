@@ -28,9 +28,7 @@ def pack_snippet(intensity: NDArray[Any]) -> NDArray[np.uint8]:
     level_db *= _PER_DB
     np.rint(level_db, out=level_db)
     level_db += 1.0
-    codes = np.clip(level_db, 1.0, 255.0, out=level_db).astype(np.uint8)
-    codes[~echo] = 0
-    return codes
+    return np.clip(level_db, 1.0, 255.0, out=level_db).astype(np.uint8) * echo
 
 
 def unpack_snippet(codes: NDArray[np.uint8]) -> NDArray[np.float32]:

@@ -102,16 +102,9 @@ class _Forest(NamedTuple):
             for question in reversed(range(n_asked)):
                 below[question] = 1 + max((below[lead] for lead in tree.ask[question][2:] if lead >= 0), default=0)
             depth = max(depth, *below[:1], 0)
-        leads = np.array([no, yes], dtype=np.intp)
-        return cls(
-            names,
-            np.array(feature, dtype=np.intp),
-            np.array(threshold),
-            leads,
-            np.array(nats),
-            np.array(roots, dtype=np.intp),
-            depth,
-        )
+        places = functools.partial(np.array, dtype=np.intp)
+        leads = places([no, yes])
+        return cls(names, places(feature), np.array(threshold), leads, np.array(nats), places(roots), depth)
 
     def added_to(self, start: float, features: Mapping[str, float]) -> float:
         """Add the leaf of each tree in turn. Raises KeyError for a feature that is missing."""

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import statistics
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
@@ -37,6 +38,8 @@ _KEPT_OF_POINT: Final = 0.1  # share of its image that a point keeps when the fo
 # at half power, the Gaussian as wide as the mean of three
 _THREE_ROWS: Final = math.sqrt(8.0 * math.log(2.0) * 2.0 / 3.0)
 _HALVINGS: Final = 30
+
+_Indices: TypeAlias = NDArray[np.intp]
 
 
 class Measurement(NamedTuple):
@@ -104,7 +107,7 @@ def measure(tile: Tile, floor: Floor, peak: Peak, beam_width_rad: float) -> Meas
     altitude_m = float(tile.first_return_m[peak.row])
     peak_footprint_m = math.hypot((peak.column + 0.5) * column_m, altitude_m) * beam_width_rad
     low_shadow_m = _LOW_OBJECT_M * (peak.column + 0.5) * column_m / max(altitude_m, _LOW_OBJECT_M)
-    blur = (_blur_pixels(0.5 * peak_footprint_m, row_m), _blur_pixels(0.5 * low_shadow_m, column_m))
+    blur = (_blur_pixels(0.5 * low_shadow_m, column_m), _blur_pixels(0.5 * peak_footprint_m, row_m))
     roi = _region(tile, floor.background, peak, rows, columns, blur)
     spread = math.sqrt(floor.log_variance)
     bright_step = max(_BRIGHT_STEP, _STEP_DEVIATIONS * spread)
@@ -114,25 +117,26 @@ def measure(tile: Tile, floor: Floor, peak: Peak, beam_width_rad: float) -> Meas
     )
 
     highlight = _component_near(bright, roi.row, roi.column, round(_SEARCH_M / row_m), round(_SEARCH_M / column_m))
-    anchor_row, anchor_column = (roi.row, roi.column) if highlight is None else _strongest(roi, highlight)
+    echo = None if highlight is None else np.nonzero(highlight)
+    anchor_row, anchor_column = (roi.row, roi.column) if echo is None else _strongest(roi, echo)
     shadow = _shadow_behind(dark, highlight, anchor_row, anchor_column, row_m, column_m)
 
     row, column, across_m = float(anchor_row), float(anchor_column), column_m
     extents: list[_Extent] = []
     highlight_db = NAN
-    if highlight is not None:
-        row, column, extent, highlight_columns = _weighted_extent(roi, highlight, bright_step)
+    if echo is not None:
+        row, column, extent, highlight_columns = _weighted_extent(roi, echo, bright_step)
         extents.append(extent)
         across_m = highlight_columns * column_m
-        highlight_db = _decibels(roi, highlight)
+        highlight_db = _decibels(roi, echo)
     shadow_length_m, height_m, shadow_db = NAN, NAN, NAN
     if shadow is not None:
-        start, stop = _shadow_interval(shadow, round(row), round(_CENTRE_ROWS_M / row_m))
+        rows_in_shadow = np.flatnonzero(shadow.any(axis=1))
+        start, stop = _shadow_interval(shadow, rows_in_shadow, round(row), round(_CENTRE_ROWS_M / row_m))
         if highlight is None:
             column = start - 0.5
-        extents.append(
-            _shadow_extent(roi, shadow, round(row), (round(start), round(stop)), round(_PROFILE_M / column_m))
-        )
+        interval = round(start), round(stop)
+        extents.append(_shadow_extent(roi, rows_in_shadow, round(row), interval, round(_PROFILE_M / column_m)))
         shadow_db = _decibels(roi, shadow)
         top = start if highlight is None else min(_far_edge(highlight, round(row)), start)
         top_m = (columns.start + top) * column_m
@@ -187,26 +191,39 @@ def _blur_pixels(length_m: float, pixel_m: float) -> int:
 
 def _region(tile: Tile, level: float, peak: Peak, rows: slice, columns: slice, blur: tuple[int, int]) -> _Roi:
     valid = (tile.mask[rows, columns] & VALID) != 0
-    background = np.float32(level)
-    intensity = np.where(valid, tile.intensity[rows, columns] / background, np.float32(0.0)).astype(
-        np.float32, copy=False
-    )
-    contrast = _log_mean(intensity, valid, 3, 3)
-    darkness = _log_mean(np.minimum(intensity, np.float32(_DARK_CLIP)), valid, *blur)
+    intensity: NDArray[np.float32] = tile.intensity[rows, columns] / np.float32(level)
+    intensity[~valid] = 0.0
+    known = None if valid.all() else valid
+    contrast = _log_mean(intensity, known, (3, 3))
+    darkness = _log_mean(np.clip(intensity, -np.inf, _DARK_CLIP), known, blur)
     return _Roi(contrast, darkness, intensity, valid, peak.row - rows.start, peak.column - columns.start)
 
 
 def _log_mean(
-    intensity: NDArray[np.float32], valid: NDArray[np.bool_], n_rows: int, n_columns: int
+    intensity: NDArray[np.float32], valid: NDArray[np.bool_] | None, size: tuple[int, int]
 ) -> NDArray[np.float32]:
-    """Compute the logarithm of the mean over the valid pixels of a box around each pixel; 0 where few are valid."""
-    total = cv2.blur(intensity, (n_columns, n_rows), borderType=cv2.BORDER_CONSTANT)
-    weight = cv2.blur(valid.astype(np.float32), (n_columns, n_rows), borderType=cv2.BORDER_CONSTANT)
-    few = weight <= 0.3
-    weight[few] = total[few] = 1.0
+    """Compute the logarithm of the mean over the valid pixels (None: all) of a box around each; 0 where few are."""
+    shape = intensity.shape
+    weight, few = _weights_of_all(None, shape, size) if valid is None else _weights(valid, shape, size)
+    total = cv2.blur(intensity, size, borderType=cv2.BORDER_CONSTANT)
+    total[few] = 1.0
     mean = np.divide(total, weight, out=total)
     np.clip(mean, 1e-3, 1e6, out=mean)
     return np.asarray(np.log(mean, out=mean))
+
+
+def _weights(
+    valid: NDArray[np.bool_] | None, shape: tuple[int, ...], size: tuple[int, int]
+) -> tuple[NDArray[np.float32], tuple[_Indices, ...]]:
+    """Give the share of the box around each pixel that is valid, and the pixels where few are, whose share is 1."""
+    flags = np.ones(shape, dtype=np.float32) if valid is None else valid.astype(np.float32)
+    weight = np.asarray(cv2.blur(flags, size, borderType=cv2.BORDER_CONSTANT), dtype=np.float32)
+    few = np.nonzero(weight <= 0.3)
+    weight[few] = 1.0
+    return weight, few
+
+
+_weights_of_all = functools.lru_cache(maxsize=32)(_weights)
 
 
 def _bridged(mask: NDArray[np.bool_], gap: int) -> NDArray[np.bool_]:
@@ -247,17 +264,17 @@ def _shadow_behind(
     )
 
 
-def _strongest(roi: _Roi, part: NDArray[np.bool_]) -> tuple[int, int]:
+def _strongest(roi: _Roi, part: tuple[_Indices, ...]) -> tuple[int, int]:
     """Find a part's pixel of highest contrast, less 0.05 nats for every pixel away from the peak; the first on ties."""
-    rows, columns = np.nonzero(part)
+    rows, columns = part
     value = roi.contrast[rows, columns] - 0.05 * np.hypot(rows - roi.row, columns - roi.column)
     best = int(np.argmax(value))
     return int(rows[best]), int(columns[best])
 
 
-def _weighted_extent(roi: _Roi, part: NDArray[np.bool_], bright_step: float) -> tuple[float, float, _Extent, int]:
+def _weighted_extent(roi: _Roi, part: tuple[_Indices, ...], bright_step: float) -> tuple[float, float, _Extent, int]:
     """Compute the centre of a highlight in rows and columns, its extent in rows, and its width in columns."""
-    rows, columns = np.nonzero(part)
+    rows, columns = part
     contrast = roi.contrast[rows, columns].astype(np.float64)
     # Weights bounded in dB terms: one glint must not pull the centre of a long object to itself.
     weight = np.maximum(contrast, 0.1)
@@ -278,8 +295,8 @@ def _far_edge(part: NDArray[np.bool_], row: int) -> float:
     return float(part.shape[1] - part[nearest, ::-1].argmax())
 
 
-def _shadow_extent(roi: _Roi, shadow: NDArray[np.bool_], row: int, interval: tuple[int, int], reach: int) -> _Extent:
-    """Find the rows around `row` that are half as dark as the darkest of them or darker.
+def _shadow_extent(roi: _Roi, rows: _Indices, row: int, interval: tuple[int, int], reach: int) -> _Extent:
+    """Find the rows around `row` that are half as dark as the darkest of them or darker; rows: of the shadow.
 
     Darkness is averaged over the columns next to the object.
 
@@ -292,7 +309,6 @@ def _shadow_extent(roi: _Roi, shadow: NDArray[np.bool_], row: int, interval: tup
     three = np.ones(3)
     depth = 1.0 - (np.convolve(total, three) / np.maximum(np.convolve(count, three), 1.0))[1:-1]
     depth[count == 0] = 0.0
-    rows = np.flatnonzero(shadow.any(axis=1))
     near = int(rows[np.argmin(np.abs(rows - row))])
     around = slice(max(near - 1, 0), near + 2)
     middle = around.start + int(np.argmax(depth[around]))
@@ -314,9 +330,8 @@ def _beyond(depth: NDArray[np.float64], row: int, step: int, edge: float) -> flo
     return float((depth[row] - edge) / (depth[row] - depth[row + step]))
 
 
-def _shadow_interval(shadow: NDArray[np.bool_], row: int, half_rows: int) -> tuple[float, float]:
-    """Find first and one-past-last column of the shadow around the object's centre: medians over rows."""
-    rows = np.flatnonzero(shadow.any(axis=1))
+def _shadow_interval(shadow: NDArray[np.bool_], rows: _Indices, row: int, half_rows: int) -> tuple[float, float]:
+    """Find first and one-past-last column of the shadow around the object's centre: medians over its rows."""
     near = rows[np.abs(rows - row) <= half_rows]
     if near.size == 0:
         near = rows[[int(np.argmin(np.abs(rows - row)))]]
@@ -325,7 +340,7 @@ def _shadow_interval(shadow: NDArray[np.bool_], row: int, half_rows: int) -> tup
     return float(statistics.median(starts.tolist())), float(statistics.median(stops.tolist()))
 
 
-def _decibels(roi: _Roi, part: NDArray[np.bool_]) -> float:
+def _decibels(roi: _Roi, part: NDArray[np.bool_] | tuple[_Indices, ...]) -> float:
     """Compute the mean intensity of a part over the background, dB, floored at -40."""
     mean = float(roi.intensity[part].mean(dtype=np.float64))
     return 10.0 * math.log10(max(mean, 1e-4))
