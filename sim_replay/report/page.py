@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import functools
 import hashlib
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -129,16 +130,18 @@ def render_report(shown: Shown) -> str:
 
 
 def _rendered(template: str, context: Mapping[str, Any]) -> str:
+    return str(_environment().get_template(template).render(context))
+
+
+@functools.cache
+def _environment() -> Any:
     import jinja2  # bench extra: pictures must be at hand without it
 
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(Path(__file__).parent),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
+    loader, undefined = jinja2.FileSystemLoader(Path(__file__).parent), jinja2.StrictUndefined
+    # Templates are compiled in every process and drawn once: optimising takes longer than it saves.
+    return jinja2.Environment(
+        loader=loader, undefined=undefined, autoescape=True, trim_blocks=True, lstrip_blocks=True, optimized=False
     )
-    return environment.get_template(template).render(context)
 
 
 def _context(shown: Shown) -> dict[str, Any]:
