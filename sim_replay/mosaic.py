@@ -17,6 +17,7 @@ from typing import IO, Final, Literal, NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
+from msgspec import structs
 from numpy.typing import NDArray
 
 from auv_mcm.contacts.contact_picture import CEILING_DB, FLOOR_DB
@@ -384,7 +385,9 @@ def _placed(
         weight, weighted = (np.repeat(values / repeats[1], repeats[1], axis=1) for values in (weight, weighted))
     if any(nadir):
         weight, weighted = _without_nadir(tile, centre, ground_m, nadir, weight, weighted)
-    near, far = (_located(tile, centre, distance_m, config) for distance_m in (0.0, far_m))
+    nearest = tile_echoes(tile, centre, 0.0)
+    farthest = structs.replace(nearest, slant_range_m=np.hypot(far_m, nearest.first_return_m))
+    near, far = (locate(echoes, config.sonar)[:2] for echoes in (nearest, farthest))
     share = ground_m / far_m  # over a flat bottom places lie evenly along a ping
     longitude_deg = np.multiply.outer(wrap_longitude_deg(far[1] - near[1]), share)
     longitude_deg += near[1][:, np.newaxis]
@@ -442,13 +445,6 @@ def _row_distance_m(tile: Tile, centre: NDArray[np.float64], far_m: float, confi
     heading_rad = np.interp(centre, np.arange(len(tile.pose)), tile.pose.heading_rad)
     turned_m = far_m * np.abs(np.diff(heading_rad))
     return float(spacing_m + np.max(turned_m, initial=0.0))
-
-
-def _located(
-    tile: Tile, position: NDArray[np.float64], ground_m: float, config: Config
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    latitude_deg, longitude_deg, _ = locate(tile_echoes(tile, position, ground_m), config.sonar)
-    return latitude_deg, longitude_deg
 
 
 def _variance_m2(
