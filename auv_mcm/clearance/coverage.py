@@ -98,7 +98,7 @@ def _sorted_out(
     lost = {}
     for reason, pixels in reasons.items():
         lost[reason] = covered & pixels
-        covered &= ~pixels
+        covered ^= lost[reason]
     return covered, lost
 
 

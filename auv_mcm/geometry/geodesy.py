@@ -22,9 +22,9 @@ _SECOND_ECCENTRICITY_SQUARED: Final = ECCENTRICITY_SQUARED / (1.0 - ECCENTRICITY
 def wrap_longitude_deg(longitude_deg: ArrayLike) -> NDArray[np.float64]:
     """Wrap a longitude to [-180, 180); values already inside come back unchanged to the last bit."""
     longitude = np.asarray(longitude_deg, dtype=np.float64)
-    is_inside = (longitude >= -180.0) & (longitude < 180.0)
-    if is_inside.all():
+    if not longitude.size or (longitude.min() >= -180.0 and longitude.max() < 180.0):
         return longitude.copy()
+    is_inside = (longitude >= -180.0) & (longitude < 180.0)
     wrapped = np.mod(longitude + 180.0, 360.0) - 180.0
     wrapped = np.where(wrapped >= 180.0, -180.0, wrapped)  # mod rounds up to 360 just below a multiple of it
     return np.where(is_inside, longitude, wrapped)
