@@ -259,7 +259,7 @@ class ConfirmConfig(_Section, frozen=True, kw_only=True):
             "likeliest by the verifier first; the others keep its p_mine, and are counted; without a verifier "
             "max_per_tile alone bounds them"
         ),
-    ] = 16
+    ] = 12
 
 
 class ContactsConfig(_Section, frozen=True, kw_only=True):
