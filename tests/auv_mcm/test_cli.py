@@ -106,7 +106,7 @@ def test_a_wrong_flag_is_refused_with_the_usage_of_its_own_command(
         (["train", "--out", "x", "--work", "3"], "did you mean --workers?"),
         (["replay", "a.xtf", "--out", "o", "--thread", "2"], "did you mean --threads?"),
         (["calibrate", "odds", "--out", "x", "--crowd", "3"], "did you mean --crowded?"),
-        (["bench", "law", "--max", "3"], "unrecognized arguments: --max"),
+        (["bench", "domains", "--first", "3"], "unrecognized arguments: --first"),
     ],
 )
 def test_the_beginning_of_an_option_is_not_taken_for_the_whole(
