@@ -11,6 +11,7 @@ from pathlib import Path
 
 from auv_mcm.commands import Commands, Progress, add_config_option, add_json_option, answer, command, read_config, whole
 from auv_mcm.errors import UsageError
+from sim_replay.arguments import check_new
 
 _MAX_COUNT = 1_000_000  # a larger number is a slip: the training would run for years
 
@@ -101,6 +102,7 @@ def _run(arguments: argparse.Namespace) -> int:
     if not arguments.all:
         if arguments.config is not None:
             raise UsageError("--config says what follows the detector: give it with --all")
+        check_new(arguments.out)
         train(arguments.out)
         answer({"model": arguments.out}, [f"model: {arguments.out}"], as_json=arguments.json)
         return 0

@@ -21,6 +21,7 @@ from auv_mcm.classify.verifier import shipped_network
 from auv_mcm.errors import UsageError
 from auv_mcm.records import Detector
 from auv_mcm.shell.whole_files import make_directory, write_file
+from sim_replay.arguments import check_new
 from sim_replay.fitting.cascade.farm import Farm
 from sim_replay.fitting.fit_odds import CROWD, CROWD_SEEDS, DRAWN_SEEDS, N_TREES, fit_table, written
 from sim_replay.fitting.fit_odds import FIRST_SEED as FITTED_SEED
@@ -100,12 +101,9 @@ def fit_from_missions(
     Raises
     ------
     UsageError
-        For an `out` that cannot be written, before any work, and if there are no targets among the detections.
+        For an `out` that is there or cannot be written, before any work, and without targets among the detections.
     """
-    if not out.parent.is_dir():
-        raise UsageError(f"--out {out}: there is no folder {out.parent}. Make it first")
-    if out.is_dir():
-        raise UsageError(f"--out {out} cannot be written: it is a folder. Name a file")
+    check_new(out)
     make_directory(out.parent)
     fitted = missions.fitted_tasks()
     with tempfile.TemporaryDirectory() as folder:

@@ -137,7 +137,7 @@ def test_arguments_that_make_no_sense_are_refused(
     ("place", "message"),
     [
         ("missing/odds.json", r"auv-mcm: --out .*: there is no folder .*missing\. Make it first"),
-        (".", r"auv-mcm: --out .* cannot be written: it is a folder"),
+        (".", r"auv-mcm: --out .* exists and is not overwritten"),
         ("/proc/odds.json", "auv-mcm: cannot write to the output directory /proc"),
     ],
 )
