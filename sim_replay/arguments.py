@@ -37,3 +37,21 @@ def check_new(out: Path | None, option: str = "--out") -> None:
         raise UsageError(f"{option} {out} exists and is not overwritten: name a new file, or remove it")
     if not out.parent.is_dir():
         raise UsageError(f"{option} {out}: there is no folder {out.parent}. Make it first")
+
+
+def add_line_options(parser: argparse.ArgumentParser, n_draws: int) -> None:
+    """Add which recorded lines targets are embedded in, and how often by default."""
+    parser.add_argument(
+        "--log",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="a recorded line to augment, XTF; repeatable",
+    )
+    parser.add_argument(
+        "--log-seeds",
+        type=count,
+        default=n_draws,
+        help=f"draws of targets per recorded line (default {n_draws})",
+    )

@@ -19,10 +19,9 @@ from typing import Any, Final, Generic, NamedTuple, TypeVar
 import msgspec
 
 from auv_mcm.errors import UsageError
-from sim_replay.arguments import count, new_file
+from sim_replay.arguments import add_line_options, count, new_file
 from sim_replay.augment.recorded_line import check_lines
 from sim_replay.benches.run_time.bench import write_result
-from sim_replay.benches.run_time.lines import add_line_options
 from sim_replay.benches.run_time.measure import BenchMachine, this_machine
 from sim_replay.benches.run_time.results import read_bench_file
 from sim_replay.fitting.cascade.farm import Farm, run_tasks

@@ -15,12 +15,11 @@ import msgspec
 
 from auv_mcm.errors import UsageError
 from auv_mcm.shell.whole_files import write_file
-from sim_replay.arguments import count, new_file
+from sim_replay.arguments import add_line_options, count, new_file
 from sim_replay.benches.run_time.apart import Apart, measure_apart
 from sim_replay.benches.run_time.lines import (
     FIRST_SEED,
     BenchMission,
-    add_line_options,
     augment_logs,
     fly_empty,
     fly_scenes,

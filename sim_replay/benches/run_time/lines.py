@@ -3,7 +3,6 @@ with targets put in."""
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import statistics
@@ -16,7 +15,6 @@ import numpy as np
 
 from auv_mcm.records import NavSample, Ping
 from auv_mcm.settings.config import Config
-from sim_replay.arguments import count
 from sim_replay.augment.augment_log import augment
 from sim_replay.augment.recorded_line import scattered
 from sim_replay.logs.open_log import open_log
@@ -33,24 +31,6 @@ LEG_SHARE: Final = 0.5
 MissionKind: TypeAlias = Literal["scene", "empty", "recorded", "long"]
 """scene: a named scene; empty: one without its objects; recorded: with targets put in; long: a recording repeated end
 to end."""
-
-
-def add_line_options(parser: argparse.ArgumentParser, n_draws: int) -> None:
-    """Add which recorded lines targets are embedded in, and how often by default."""
-    parser.add_argument(
-        "--log",
-        type=Path,
-        action="append",
-        default=[],
-        metavar="FILE",
-        help="a recorded line to augment, XTF; repeatable",
-    )
-    parser.add_argument(
-        "--log-seeds",
-        type=count,
-        default=n_draws,
-        help=f"draws of targets per recorded line (default {n_draws})",
-    )
 
 
 class BenchMission(NamedTuple):
