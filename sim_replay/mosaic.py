@@ -39,6 +39,7 @@ _FAR_WEIGHT: Final = 0.02  # at the swath's edge, falling from 1 below the vehic
 _SHARPNESS: Final = 2.0  # power of that fall: the nearer of two passes wins but for a border a few metres wide
 _SAMPLES_PER_PIXEL: Final = 1.5  # samples per pixel of the mosaic, at which none stays empty between two pings
 _MAX_REPEATS: Final = 8  # a row drawn more often than this belongs to a turn
+_MAX_ROWS: Final = 64  # of the mosaic placed at once, which bounds memory: a tile has some 400 rows
 _MAX_SPREAD: Final = 1 << 24  # pixels of an outline drawn at once; longer ones are divided along the track
 _COVARIANCE_ROWS: Final = 16  # rows between those of which the error is computed: it changes with the attitude
 
@@ -46,7 +47,9 @@ Blend: TypeAlias = Literal["mean", "nearest", "max", "last"]
 """Which of several passes over a place is shown: all of them by weight, the one that sees best, the brightest, or the
 last one. All but the first keep a shadow that another pass does not see."""
 Key: TypeAlias = tuple[int, int]
-Sums: TypeAlias = NDArray[np.float32]  # (3, BLOCK, BLOCK): weight, weighted intensity, weighted variance in m^2
+Sums: TypeAlias = NDArray[
+    np.float32
+]  # (2 or 3, BLOCK, BLOCK): weight, weighted intensity and, with errors, variance in m^2
 
 
 class Box(NamedTuple):
@@ -65,8 +68,9 @@ class Blocks:
     Iterating yields the keys of the blocks that hold anything.
     """
 
-    def __init__(self, max_in_memory: int) -> None:
+    def __init__(self, max_in_memory: int, n_sums: int = 3) -> None:
         self._max_in_memory = max_in_memory
+        self._shape = n_sums, BLOCK, BLOCK
         self._cache: OrderedDict[Key, Sums] = OrderedDict()
         self._slots: dict[Key, int] = {}
         self._file: IO[bytes] | None = None
@@ -86,8 +90,8 @@ class Blocks:
         slot = self._slots.get(key)
         if slot is None or self._file is None:
             return None
-        self._file.seek(slot * _BLOCK_BYTES)
-        sums = np.frombuffer(self._file.read(_BLOCK_BYTES), dtype=np.float32).reshape(3, BLOCK, BLOCK).copy()
+        self._file.seek(slot * self._n_bytes)
+        sums = np.frombuffer(self._file.read(self._n_bytes), dtype=np.float32).reshape(self._shape).copy()
         self._keep(key, sums)
         return sums
 
@@ -95,17 +99,18 @@ class Blocks:
         """Return the sums of a block, made if nothing was drawn there yet."""
         sums = self.get(key)
         if sums is None:
-            sums = np.zeros((3, BLOCK, BLOCK), dtype=np.float32)
+            sums = np.zeros(self._shape, dtype=np.float32)
             self._keep(key, sums)
         return sums
 
     def coarser(self) -> Blocks:
         """Add up four pixels to one, in blocks of half the resolution."""
-        coarse = Blocks(self._max_in_memory)
+        n_sums = self._shape[0]
+        coarse = Blocks(self._max_in_memory, n_sums)
         for key in self:
             sums = self.get(key)
             assert sums is not None
-            half = sums.reshape(3, BLOCK // 2, 2, BLOCK // 2, 2).sum(axis=(2, 4))
+            half = sums.reshape(n_sums, BLOCK // 2, 2, BLOCK // 2, 2).sum(axis=(2, 4))
             right, down = ((part & 1) * (BLOCK // 2) for part in key)
             into = coarse.made((key[0] >> 1, key[1] >> 1))
             into[:, down : down + BLOCK // 2, right : right + BLOCK // 2] = half
@@ -126,11 +131,12 @@ class Blocks:
             self._file = tempfile.TemporaryFile()  # noqa: SIM115  # it lives as long as the blocks
             weakref.finalize(self, self._file.close)
         slot = self._slots.setdefault(old, len(self._slots))
-        self._file.seek(slot * _BLOCK_BYTES)
+        self._file.seek(slot * self._n_bytes)
         self._file.write(evicted.tobytes())
 
-
-_BLOCK_BYTES: Final = 3 * BLOCK * BLOCK * 4
+    @property
+    def _n_bytes(self) -> int:
+        return 4 * math.prod(self._shape)
 
 
 class Mosaic:
@@ -165,7 +171,7 @@ class Mosaic:
         self._coarsen, self._n_sums = coarsen, 3 if errors else 2
         self._blend, self._crs, self._nadir = blend, crs, (nadir_share, fade_share)
         self._projection: Projection | None = None
-        self._blocks = Blocks(2 * max_blocks if coarsen else max_blocks)
+        self._blocks = Blocks(2 * max_blocks if coarsen else max_blocks, self._n_sums)
         self._origin_deg: tuple[float, float] | None = None  # longitude, latitude
         self._step_deg = (math.nan, math.nan)
 
@@ -184,7 +190,7 @@ class Mosaic:
             return
         if self._origin_deg is None:
             self._begin(float(tile.pose.longitude_deg[known[0]]), float(tile.pose.latitude_deg[known[0]]))
-        for first, stop in _runs(known):
+        for first, stop in _stretches(known, _MAX_ROWS * _n_together(tile.row_spacing_m, self.resolution_m)):
             placed = _placed(tile, first, stop, self._config, self.resolution_m, self._nadir, self._n_sums > 2)
             if placed.weight.size:
                 self._draw(placed)
@@ -255,7 +261,7 @@ class Mosaic:
         down -= top * width + left
         index = down.ravel().astype(np.intp)
         variance = [placed.weight * placed.variance_m2] if self._n_sums > 2 else []
-        sums = np.zeros((3, height, width), dtype=np.float32)
+        sums = np.zeros((self._n_sums, height, width), dtype=np.float32)
         for number, values in enumerate((placed.weight, placed.weighted, *variance)):
             sums[number] = np.bincount(index, values.ravel(), width * height).reshape(height, width)
         drawn = sums[0] > 0.0
@@ -274,7 +280,7 @@ class Mosaic:
 
 
 def _blend_in(held: Sums, part: Sums, blend: Blend) -> None:
-    """Put what one stretch of a pass saw into what is held already, in place. Both (3, n, m)."""
+    """Put what one stretch of a pass saw into what is held already, in place. Both (2 or 3, n, m)."""
     if blend == "mean":
         held += part
         return
@@ -349,20 +355,23 @@ class _Placed(NamedTuple):
         return _Placed(*(values[rows] for values in self))
 
 
-def _runs(numbers: NDArray[np.intp]) -> list[tuple[int, int]]:
-    """Find stretches [first, stop) of numbers that follow one another."""
-    pieces = np.split(numbers, np.flatnonzero(np.diff(numbers) != 1) + 1)
+def _stretches(numbers: NDArray[np.intp], n_most: int) -> list[tuple[int, int]]:
+    """Find stretches [first, stop) of at most n_most numbers that follow one another."""
+    runs = np.split(numbers, np.flatnonzero(np.diff(numbers) != 1) + 1)
+    pieces = [run[first : first + n_most] for run in runs for first in range(0, len(run), n_most)]
     return [(int(piece[0]), int(piece[-1]) + 1) for piece in pieces]
+
+
+def _n_together(spacing_m: float, resolution_m: float) -> int:
+    """Count the samples that become one where they are much finer than the mosaic."""
+    return max(1, int(resolution_m / spacing_m / _SAMPLES_PER_PIXEL))
 
 
 def _placed(
     tile: Tile, first: int, stop: int, config: Config, resolution_m: float, nadir: tuple[float, float], errors: bool
 ) -> _Placed:
     """Weigh the pixels of some rows and place them; several become one where they are much finer than the mosaic."""
-    n_together = [
-        max(1, int(resolution_m / spacing_m / _SAMPLES_PER_PIXEL))
-        for spacing_m in (tile.row_spacing_m, tile.column_spacing_m)
-    ]
+    n_together = [_n_together(spacing_m, resolution_m) for spacing_m in (tile.row_spacing_m, tile.column_spacing_m)]
     weight, weighted = _weighed(tile, first, stop, n_together)
     n_rows, n_columns = weight.shape
     ground_m = (np.arange(n_columns, dtype=np.float64) + 0.5) * n_together[1] * tile.column_spacing_m
@@ -464,12 +473,12 @@ def _variance_m2(
 
 
 def _as_bytes(sums: Sums, max_sigma_m: float) -> NDArray[np.uint8]:
-    weight, weighted, variance = sums
+    weight, weighted, *variance = sums
     seen = weight > 0.0
     safe = np.where(seen, weight, np.float32(1.0))
     level_db = 10.0 * np.log10(np.maximum(weighted / safe, np.float32(1e-6)))
     echo = np.clip(np.round((level_db - FLOOR_DB) / ECHO_STEP_DB) + 1.0, 1.0, 255.0)
-    sigma_m = np.sqrt(variance / safe)
+    sigma_m = np.sqrt(variance[0] / safe) if variance else np.zeros_like(safe)
     seen &= sigma_m <= max_sigma_m
     error = np.clip(np.round(sigma_m / SIGMA_STEP_M), 1.0, 255.0)
     return np.stack([np.where(seen, value, 0.0) for value in (echo, error)], axis=-1).astype(np.uint8)

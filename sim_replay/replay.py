@@ -24,7 +24,7 @@ from auv_mcm.contacts.antimeridian import split_line
 from auv_mcm.contacts.contact import best_view
 from auv_mcm.contacts.contact_picture import snippet_png
 from auv_mcm.contacts.geojson import Json, collection, feature, one_or_multi, positions_of
-from auv_mcm.memory import return_large_arrays
+from auv_mcm.memory import return_freed_memory, return_large_arrays
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Contact, CoveragePatch, Notice, PipelineEvent, Side, Tile
 from auv_mcm.settings.config import Config, config_yaml
@@ -204,6 +204,7 @@ class _Replaying:
 
     def write(self, folder: Path, judged: Sequence[Verdict]) -> dict[str, Any]:
         """Write every result but summary.json, of which the first entries are returned."""
+        return_freed_memory()  # of tiles: the report takes its place
         contacts = sorted(self._pipeline.contacts, key=lambda contact: contact.id)
         counters = self._mission.counters() + self._pipeline.counters
         waypoints = plan_waypoints(contacts, self._tally, self._config.plan, counters)

@@ -28,6 +28,7 @@ in an integral image, from the window's place. leaf: what the score gains where 
 holds."""
 
 _AT_ONCE: Final = 32768  # windows that numpy weighs together: more no longer fit the cache
+_WEIGHED_AT_ONCE: Final = 1 << 14  # places times stumps that numpy weighs in one go; more go stump by stump
 
 
 class Tables(NamedTuple):
@@ -228,9 +229,8 @@ def run_groups_numpy(
             for group in range(first, last):
                 if tables.restart:
                     score[:] = 0
-                boxes = _Boxes(flat, place)
-                for stump in range(tables.groups[group - 1, 0] if group else 0, tables.groups[group, 0]):
-                    score += _weigh(boxes, tables.stumps[band, stump])
+                first_stump = tables.groups[group - 1, 0] if group else 0
+                score += _weighed(flat, place, tables.stumps[band, first_stump : tables.groups[group, 0]])
                 alive = score >= tables.groups[group, 1]
                 place, score = place[alive], score[alive]
                 n_alive[group - first] += len(place)
@@ -270,6 +270,22 @@ def corners(boxes_px: NDArray[np.int32], stride: int) -> NDArray[np.int32]:
     top, bottom, left, right = np.moveaxis(boxes_px, -1, 0)
     offsets = (bottom * stride + right, top * stride + right, bottom * stride + left, top * stride + left)
     return np.ascontiguousarray(np.stack(offsets, axis=-1), dtype=np.int32)
+
+
+def _weighed(flat: NDArray[np.uint32], place: NDArray[np.int32], stumps: NDArray[np.void]) -> NDArray[np.int32]:
+    """Sum what stumps (n,) say of places (m,): (m,) int32. Few places are weighed by all stumps at once."""
+    if place.size * stumps.size > _WEIGHED_AT_ONCE:
+        boxes, total = _Boxes(flat, place), np.zeros(place.size, dtype=np.int32)
+        for stump in stumps:
+            total += _weigh(boxes, stump)
+        return total
+    corner = flat[stumps["offset"][..., np.newaxis] + place]
+    sums = ((corner[:, :, 0] - corner[:, :, 1]) - (corner[:, :, 2] - corner[:, :, 3])).view(np.int32)
+    first, second, shared = np.moveaxis(sums.astype(np.float32) * stumps["weight"][..., np.newaxis], 1, 0)
+    contrast = stumps["contrast"][:, np.newaxis].astype(np.bool_)
+    holds = np.where(contrast, first - second, first) < np.where(contrast, shared, second)
+    otherwise, where_it_holds = stumps["leaf"].T[..., np.newaxis]
+    return np.asarray(np.where(holds, where_it_holds, otherwise).sum(axis=0, dtype=np.int32))
 
 
 def _weigh(boxes: _Boxes, stump: NDArray[np.void]) -> NDArray[np.int32]:

@@ -11,7 +11,7 @@ from sim_replay.mosaic_files import coloured
 
 RESOLUTION_M: Final = 0.25
 """Pixel of the picture, m, doubled until the mission fits: to 0.5 m for 40 minutes of 50 m range on either side."""
-MAX_BLOCKS: Final = 48  # blocks of sums in memory: 38 MB, and 3.1 million pixels
+MAX_BLOCKS: Final = 48  # blocks of sums in memory: 25 MB, and 3.1 million pixels
 MAX_BYTES: Final = 650_000  # of the picture, 0.87 MB in the page, which stays below 5 MB for 40 minutes
 _MAX_SIDE: Final = 4096  # pixels, which browsers on small computers still show
 _QUALITIES: Final = (70, 50, 35)  # of WebP: speckle takes most of the bytes and loses nothing that can be seen

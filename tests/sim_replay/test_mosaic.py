@@ -57,7 +57,7 @@ def drawn(mosaic: Mosaic) -> NDArray[np.float32]:
     for column, row in level.blocks:
         sums = level.blocks.get((column, row))
         assert sums is not None
-        whole[:, row * BLOCK : (row + 1) * BLOCK, column * BLOCK : (column + 1) * BLOCK] = sums
+        whole[: len(sums), row * BLOCK : (row + 1) * BLOCK, column * BLOCK : (column + 1) * BLOCK] = sums
     return whole
 
 
