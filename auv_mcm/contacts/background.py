@@ -203,7 +203,8 @@ def estimate_background(
     log_mines = math.log(MINES_PER_KM2) + MINES_SPREAD * _MINES_STEPS
     mines = np.exp(log_mines)[:, np.newaxis] * _mine_shares(prior)
     values, covariance, evidence = _modes(n, observed_km2, mines, prior)
-    weight = np.exp(evidence - 0.5 * _MINES_STEPS**2 - (evidence - 0.5 * _MINES_STEPS**2).max())
+    log_weight = evidence - 0.5 * _MINES_STEPS**2
+    weight = np.exp(log_weight - log_weight.max())
     weight /= weight.sum()
     middles, spreads = zip(*(_log_survival(*mode) for mode in zip(values, covariance, strict=True)), strict=True)
     middle = weight @ np.array(middles)

@@ -287,11 +287,8 @@ class Guard:
     def _way(self, here: Point, there: Point, fence: Fence) -> Refusal | None:
         """Return why a heading must not be held. A vehicle within the margin may leave it, but not approach the
         fence."""
-        clearance_m = fence.clearance_m(here, there)
-        if clearance_m >= max(self._config.fence_margin_m, _TOUCH_M):
-            return None
         min_clearance_m = min(self._config.fence_margin_m, fence.clearance_m(here, here))
-        if not clearance_m >= max(min_clearance_m - _ROUNDING_M, _TOUCH_M):
+        if not fence.clearance_m(here, there) >= max(min_clearance_m - _ROUNDING_M, _TOUCH_M):
             return Refusal(
                 "leads_out", f"the straight line leaves the fence, or comes nearer to it than {min_clearance_m:.1f} m"
             )

@@ -36,6 +36,9 @@ HORSESHOE_M = (
     (-50.0, 100.0),
     (-100.0, 100.0),
 )
+# Of both the first edge crosses the opposite one, and the lobes are not alike.
+BOW_M = ((-100.0, -100.0), (100.0, 100.0), (100.0, -100.0), (-100.0, 50.0))
+EIGHT_M = ((-100.0, -50.0), (100.0, 50.0), (190.0, 0.0), (100.0, -50.0), (-100.0, 50.0), (-150.0, 0.0))
 Metres = tuple[float, float]
 PLACES = st.tuples(st.floats(-150.0, 150.0), st.floats(-150.0, 150.0))
 HOMES = st.sampled_from([HOME_DEG, (0.0, 180.0), (-70.0, -179.9999), (89.999, 30.0), (-89.9995, 100.0)])
@@ -310,7 +313,7 @@ def test_without_a_fence_nothing_is_let_through() -> None:
 @pytest.mark.parametrize(
     "corners_m",
     [
-        ((-100.0, -100.0), (100.0, 100.0), (100.0, -100.0), (-100.0, 100.0)),  # crosses itself
+        *(shape[k:] + shape[:k] for shape in (BOW_M, EIGHT_M) for k in range(len(shape))),  # any corner may be first
         ((0.0, 0.0), (50.0, 50.0), (100.0, 100.0)),  # a line
         ((0.0, 0.0), (0.0, 0.0), (100.0, 100.0)),  # two corners
         ((-90_000.0, 0.0), (90_000.0, 0.0), (0.0, 90_000.0)),  # too wide
@@ -324,6 +327,12 @@ def test_a_fence_that_is_no_area_is_reported_to_the_user(corners_m: tuple[Metres
 def test_a_fence_around_the_world_is_reported_to_the_user() -> None:
     with pytest.raises(UsageError, match="50 km"):
         Fence([(0.0, 0.0), (0.0, 120.0), (0.0, -120.0)])
+
+
+def test_three_corners_make_a_fence() -> None:
+    guard = Guard(config(SQUARE_M[:3]))
+    assert code(guard, go_to((80.0, 0.0)), state((0.0, -80.0))) is None
+    assert code(guard, go_to((0.0, 80.0)), state((0.0, -80.0))) == "leads_out"
 
 
 def test_a_closed_ring_is_the_same_fence() -> None:
