@@ -118,8 +118,13 @@ def test_no_cell_is_more_than_whole() -> None:
     assert float(cells_of(tile_of(plain())).fraction.max()) <= 1.0
 
 
-def test_nothing_covered_leaves_no_cells() -> None:
-    assert cover_tile(tile_of(np.zeros((100, 80), dtype=np.uint8)), SonarConfig(), 1.0, GRID).cells is None
+@pytest.mark.parametrize(("n_pixels", "n_cells"), [(0, 0), (5, 0), (6, 1)])
+def test_a_cell_of_which_less_than_a_hundredth_was_seen_is_left_out(n_pixels: int, n_cells: int) -> None:
+    """A cell has 16 m², a pixel 0.03."""
+    mask = np.zeros((100, 80), dtype=np.uint8)
+    mask[:3, 40:42].flat[:n_pixels] = VALID
+    cells = cover_tile(tile_of(mask), SonarConfig(), 1.0, GRID).cells
+    assert (0 if cells is None else len(cells.fraction)) == n_cells
 
 
 def test_cells_take_the_kind_that_most_of_them_is() -> None:

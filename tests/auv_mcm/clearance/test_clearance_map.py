@@ -13,7 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from auv_mcm.clearance.area import area_state, middles_m, over_area
 from auv_mcm.clearance.clearance_map import HIGHEST_P, Clearance, ClearanceMap, look_bit
+from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import SEABED_TYPES, CoveragePatch, SeabedType, Side
 from tests.make.records import cells_of, patch_of
 
@@ -264,3 +266,13 @@ def test_two_sites_that_fit_into_one_map_are_both_laid_out() -> None:
     )
     assert reported.looks.shape == (701, 901)
     assert reported.n_elsewhere == 0
+
+
+def test_an_area_smaller_than_a_cell_is_the_cell_that_its_middle_lies_in() -> None:
+    """A sliver over three cells in a row, from where four meet to the south-west."""
+    frame = LocalFrame(latitude_deg=43.0, longitude_deg=5.0)
+    corners_m = ((0.0, 0.0), (-5.0, -1.0), (-5.0, -1.5), (0.0, -0.5))
+    places = [frame.to_geodetic([*corner, 0.0])[:2] for corner in corners_m]
+    area = over_area(None, [(float(latitude), float(longitude)) for latitude, longitude in places], 4.0)
+    assert middles_m(area.ground)[area.cells].tolist() == [[-2.0, -2.0]]
+    assert area_state(area, 0.8).km2 == pytest.approx(16e-6)

@@ -191,11 +191,14 @@ def test_the_outline_leaves_out_a_turn_and_a_hole_in_navigation() -> None:
     assert inside[100, 8:72].all()
 
 
-def test_a_lost_ping_does_not_break_the_outline() -> None:
+@pytest.mark.parametrize(("n_rows", "n_columns", "n_rings"), [(4, 0, 1), (5, 0, 2), (5, 15, 2), (5, 16, 1)])
+def test_an_outline_breaks_where_more_than_half_a_metre_covers_less_than_a_fifth(
+    n_rows: int, n_columns: int, n_rings: int
+) -> None:
+    """Rows are 0.12 m apart and have 80 columns."""
     mask = plain()
-    mask[[50, 51, 120]] = 0
-    patch = cover_tile(tile_of(mask), SonarConfig())
-    assert len(patch.rings_deg) == 1
+    mask[50 : 50 + n_rows, 8 + n_columns :] = 0
+    assert len(cover_tile(tile_of(mask), SonarConfig()).rings_deg) == n_rings
 
 
 def test_the_outline_follows_a_swath_that_widens() -> None:

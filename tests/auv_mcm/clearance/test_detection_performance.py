@@ -213,6 +213,12 @@ def _broken(**changes: Any) -> bytes:
 _BAND = {"n_looks": 4, "n_found": 2, "p": 0.5, "low": 0.2, "high": 0.8}
 
 
+def test_a_band_in_which_nothing_was_found_is_read() -> None:
+    band = {"n_looks": 0, "n_found": 0, "p": 0.0, "low": 0.0, "high": 1.0}
+    read = parse_performance(_broken(floors={name: [band] * 3 for name in FLOORS}), "here")
+    assert read.floors["flat"][0].p == 0.0
+
+
 @pytest.mark.parametrize(
     ("data", "statement"),
     [

@@ -74,7 +74,9 @@ def test_shadow_is_found_from_a_corner_of_it(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(20, 26))
 def test_object_is_confirmed_from_the_detection_alone(seed: int) -> None:
     drawn = drawn_pair(seed)
-    contours = converge(drawn.region, start_from_detection(drawn.region))
+    start = start_from_detection(drawn.region)
+    assert start.shadow[:, 1].min() >= drawn.region.column  # a shadow lies behind what casts it
+    contours = converge(drawn.region, start)
     assert contours.reasons == ()
     assert overlap(contour_mask(contours.shadow, SHAPE), drawn.shadow) > 0.9
     assert overlap(contour_mask(contours.highlight, SHAPE), drawn.highlight) > 0.75
@@ -82,6 +84,20 @@ def test_object_is_confirmed_from_the_detection_alone(seed: int) -> None:
     assert contours.highlight_mean == pytest.approx(10.0**0.8, rel=0.25)
     assert contours.background_mean == pytest.approx(1.0, rel=0.05)
     assert contours.gain > 100.0
+
+
+@pytest.mark.parametrize("seed", [2, 20, 21])
+@pytest.mark.parametrize(("before", "after"), [(2.5, 2.5), (4.0, 1.0), (1.0, 4.0)])
+def test_a_shadow_beside_floor_far_brighter_than_the_regions_is_a_hole_in_it(
+    seed: int, before: float, after: float
+) -> None:
+    drawn = drawn_pair(seed)
+    rows, columns = np.nonzero(drawn.shadow)
+    brighter = np.ones(SHAPE)
+    brighter[rows.min() - 25 : rows.min(), columns.min() : columns.max() + 1] = before
+    brighter[rows.max() + 1 : rows.max() + 26, columns.min() : columns.max() + 1] = after
+    region = msgspec.structs.replace(drawn.region, intensity=brighter * drawn.region.intensity)
+    assert "hole_in_bright" in converge(region, start_from_detection(region)).reasons
 
 
 def test_height_is_that_of_the_ray_over_the_object() -> None:

@@ -45,9 +45,9 @@ def drawn_background(seed: int, area_km2: float, times: float = 1.0) -> NDArray[
 
 def slow_background(
     counts: NDArray[np.float64], area_km2: float, prior: BackgroundPrior, n_draws: int = 60_000
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
     """Weigh draws of the prior by how likely they make the counts: mean and standard deviation of the log-density per
-    level.
+    level, and the mean logarithm of the density of mines.
     """
     random = np.random.Generator(np.random.PCG64(1))
     values = random.multivariate_normal(prior.mean, np.array(prior.covariance), n_draws)
@@ -63,16 +63,17 @@ def slow_background(
     weight /= weight.sum()
     reaching = np.log(np.cumsum(density[:, ::-1], axis=1)[:, ::-1])
     mean = weight @ reaching
-    return mean, np.sqrt(weight @ (reaching - mean) ** 2)
+    return mean, np.sqrt(weight @ (reaching - mean) ** 2), float(weight @ np.log(mines))
 
 
 @pytest.mark.parametrize(("seed", "area_km2"), [(1, 0.0), (2, 0.002), (3, 0.01), (4, 0.02)])
 def test_the_estimate_is_that_of_draws_weighed_by_their_likelihood(seed: int, area_km2: float) -> None:
     counts = counted_log_odds(drawn_background(seed, area_km2))
-    middle, spread = slow_background(counts, area_km2, PRIOR)
+    middle, spread, log_mines = slow_background(counts, area_km2, PRIOR)
     found = estimate_background(counts, area_km2, PRIOR)
     read = LEVELS_NATS <= 2.0  # beyond, where a contact in a thousand lies, first order in the spread no longer holds
     assert np.abs(found.middle - middle)[read].max() < 0.2
+    assert math.log(found.mines_per_km2) == pytest.approx(log_mines, abs=0.1)
     assert np.allclose(((found.high - found.low) / (2.0 * 1.96))[read], spread[read], rtol=0.2)
 
 

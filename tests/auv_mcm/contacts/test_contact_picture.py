@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from auv_mcm.contacts.contact_picture import in_picture, snippet_picture
+from auv_mcm.contacts.contact_picture import SOFT, TURNED, coloured_levels, in_picture, snippet_picture
 from auv_mcm.records import Detection, Side
 from auv_mcm.snippet import pack_snippet
 from tests.auv_mcm.classify import drawn_looks
@@ -62,6 +62,17 @@ def test_with_square_pixels_the_middle_of_a_pixel_lies_in_the_pixel_drawn_for_it
     right, down = in_picture(view, np.array([[row + 0.5, column + 0.5]]))[0].tolist()
     assert picture[math.floor(down * n_rows), math.floor(right * n_columns)] == picture.max()
     assert (picture == picture.max()).sum() == 1
+
+
+@pytest.mark.parametrize("condition", [0, SOFT, TURNED, SOFT | TURNED])
+def test_brighter_echoes_are_drawn_brighter_and_turns_bluer(condition: int) -> None:
+    drawn, plain = (
+        coloured_levels(np.arange(1, 64, dtype=np.uint8)[np.newaxis] + np.uint8(64 * which))[0].astype(int)
+        for which in (condition, condition & SOFT)
+    )
+    assert (np.diff(drawn.sum(axis=1)) > 0).all()
+    if condition & TURNED:
+        assert (drawn[:, 0] - drawn[:, 2] > plain[:, 0] - plain[:, 2]).all()
 
 
 def test_a_snippet_without_pixels_has_a_place_for_everything() -> None:

@@ -90,7 +90,7 @@ def test_two_passes_over_a_row_of_objects_join_one_to_one_though_navigation_is_o
 def test_detections_of_one_passage_never_join_even_at_one_place() -> None:
     book = ledger()
     book.add([view(0.0, 0.0, 100.0), view(0.0, 0.1, 100.1)])
-    book.add([view(0.0, 0.05, 101.0)])
+    book.add([view(0.0, 0.05, 101.0, heading_rad=math.radians(40.0))])  # a course that swings is no turn
     assert len(book.contacts) == 3
 
 
@@ -124,7 +124,8 @@ def test_port_and_starboard_of_one_passage_never_join() -> None:
     assert len(book.contacts) == 2
 
 
-def test_views_before_and_after_a_turn_join_though_they_become_final_together() -> None:
+@pytest.mark.parametrize("turn_rad", [math.pi, math.radians(-50.0)])
+def test_views_before_and_after_a_turn_join_though_they_become_final_together(turn_rad: float) -> None:
     """Short legs: both passes fall into one tile, hence into one batch."""
     book = ledger()
     book.add([view(0.0, 0.0, 100.0, score=1.0), view(0.0, 5.0, 103.0, score=2.0)])
@@ -134,8 +135,8 @@ def test_views_before_and_after_a_turn_join_though_they_become_final_together() 
         [
             view(0.0, 0.0, 100.0, score=1.0),
             view(0.0, 5.0, 103.0, score=2.0),
-            view(0.2, 5.1, 125.0, score=2.0, heading_rad=math.pi, aspect_deg=270.0),
-            view(0.2, 0.1, 128.0, score=1.0, heading_rad=math.pi, aspect_deg=270.0),
+            view(0.2, 5.1, 125.0, score=2.0, heading_rad=turn_rad, aspect_deg=270.0),
+            view(0.2, 0.1, 128.0, score=1.0, heading_rad=turn_rad, aspect_deg=270.0),
         ]
     )
     assert before == len(together.contacts) == 2

@@ -156,6 +156,21 @@ def test_a_call_that_turns_is_announced_again_and_nothing_else_is() -> None:
     assert all(len(announced) == 1 for announced in quiet)
 
 
+def test_the_background_is_estimated_anew_after_a_tenth_more_contacts_or_area() -> None:
+    mission = Mission()
+    mission.search(0.5)
+    mission.see(*np.linspace(-4.5, 0.0, 100).tolist())
+    estimated = []
+    for area_km2 in (*[0.004] * 11, 0.05):
+        mission.search(area_km2)
+        mission.see(-4.0)
+        estimated.append(mission.watch.point.n_contacts)
+    assert estimated == [100] * 10 + [111, 111]
+    mission.search(0.01)
+    mission.see(-4.0)
+    assert mission.watch.point.n_contacts == 113
+
+
 def test_in_the_end_the_last_announcement_of_every_contact_says_what_the_whole_mission_does() -> None:
     random = np.random.Generator(np.random.PCG64(4))
     mission = Mission()
