@@ -391,8 +391,9 @@ def test_a_ring_that_only_touches_the_antimeridian_stays_whole(edge: float) -> N
     assert area(piece) == pytest.approx(1.0)
 
 
-def test_a_ring_around_the_pole_is_closed_over_the_pole() -> None:
-    ring = np.array([(longitude, 89.5) for longitude in range(-180, 181, 30)], dtype=float)
+@pytest.mark.parametrize("latitude", [89.5, -89.5])
+def test_a_ring_around_the_pole_is_closed_over_the_pole(latitude: float) -> None:
+    ring = np.array([(longitude, latitude) for longitude in range(-180, 181, 30)], dtype=float)
     pieces = split_ring(ring)
     assert sum(area(piece) for piece in pieces) == pytest.approx(360.0 * 0.5)
 

@@ -156,14 +156,15 @@ def test_the_way_across_the_mouth_of_a_concave_fence_is_refused() -> None:
     refusal = guard.plan([place_deg(place) for place in ((-75.0, 50.0), (75.0, 50.0))], 0.0)
     assert refusal is not None
     assert refusal.code == "plan_outside_fence"
-    assert "way-point 2 of 2" in refusal.text
+    assert refusal.text == "way-point 2 of 2, or the way to it, lies outside the fence"
 
 
 def test_a_plan_keeps_its_slack_from_the_fence() -> None:
     guard = Guard(config())
     places = [place_deg((0.0, 0.0)), place_deg((93.0, 0.0))]
     assert guard.plan(places, 1.0) is None
-    assert guard.plan(places, 3.0) is not None
+    assert (refusal := guard.plan(places, 3.0)) is not None
+    assert "is 7.0 m from the fence, less than 8 m" in refusal.text
 
 
 def test_the_first_leg_from_outside_is_refused() -> None:
@@ -244,6 +245,7 @@ def test_a_depth_clears_the_shallowest_floor_and_an_altitude_is_not_too_deep_ove
 def test_every_number_of_a_message_is_judged_also_alone() -> None:
     guard, here = Guard(config()), state((0.0, 0.0))
     assert code(guard, WireCommand(heading_rad=1.0), here) is None
+    assert code(guard, WireCommand(heading_rad=0.0), here) is None
     assert code(guard, WireCommand(heading_rad=7.0), here) == "heading"
     assert code(guard, WireCommand(heading_rad=1.0), state((99.0, 0.0))) == "leads_out"
     assert code(guard, WireCommand(speed_mps=1.51), here) == "speed"
