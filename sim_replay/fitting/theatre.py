@@ -9,7 +9,7 @@ import msgspec
 
 from auv_mcm.model_file import NONE, SHIPPED
 from auv_mcm.settings.config import Config
-from sim_replay.fitting.cascade.spec import SonarVariant, carrying, on_grid, read_training_spec
+from sim_replay.fitting.cascade.spec import SonarVariant, carrying, on_grid, read_training_spec, within_swath
 from sim_replay.fitting.cascade.tiles import Split
 from sim_replay.missions import HELD_OUT, SCENES, config_for
 from sim_replay.simulator.scene import Scene
@@ -46,6 +46,8 @@ class Theatre(NamedTuple):
         """Let a mission carry the sonar whose turn it is, no faster than sound allows, and configure the payload."""
         sonar = self.sonars[number % len(self.sonars)]
         flown = carrying(scene, sonar)
+        if sonar.range_m is not None:
+            flown = within_swath(flown)
         if sonar.ping_rate_hz is None:
             fastest_hz = _PING_SHARE * 0.5 * flown.sonar.sound_speed_mps / flown.sonar.range_m
             rate_hz = min(flown.sonar.ping_rate_hz, fastest_hz) if sonar.range_m else flown.sonar.ping_rate_hz

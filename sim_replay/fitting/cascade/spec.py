@@ -244,7 +244,7 @@ def training_scene(spec: Spec, scene: Scene, seed: int, sonar: SonarVariant) -> 
         navigation_error=EXACT,
         faults=(),
     )
-    return msgspec.structs.replace(flown, scatter=_within_swath(_scatter(spec, scene), flown))
+    return within_swath(msgspec.structs.replace(flown, scatter=_scatter(spec, scene)))
 
 
 def _simulated(spec: Spec, label: str, scene: Scene, seed: int, number: int, split: Split) -> SimulatedLine:
@@ -284,15 +284,16 @@ def _scatter(spec: Spec, scene: Scene) -> tuple[Scatter, ...]:
     return tuple(groups)
 
 
-def _within_swath(groups: tuple[Scatter, ...], scene: Scene) -> tuple[Scatter, ...]:
+def within_swath(scene: Scene) -> Scene:
+    """Scatter nothing beyond what the scene's sonar reaches."""
     farthest_m = _EDGE * swath_m(scene)
     within = []
-    for group in groups:
+    for group in scene.scatter:
         if group.ground_range_m is not None:
             nearest, far = group.ground_range_m
             group = msgspec.structs.replace(group, ground_range_m=(min(nearest, farthest_m), min(far, farthest_m)))
         within.append(group)
-    return tuple(within)
+    return msgspec.structs.replace(scene, scatter=tuple(within))
 
 
 def _shared_out(total: int, shares: list[float]) -> list[int]:

@@ -135,6 +135,7 @@ def render_set(spec_path: Path | None, folder: Path, farm: Farm) -> Manifest:
     for line in lines:
         if isinstance(line, SimulatedLine):
             _check_room(line)
+    _check_once(lines)
     make_directory(folder)
     started_s = time.monotonic()
 
@@ -147,9 +148,7 @@ def render_set(spec_path: Path | None, folder: Path, farm: Farm) -> Manifest:
         )
 
     try:
-        return write_set(
-            folder, _each_once(run_tasks(render_line, lines, farm, show_progress)), msgspec.to_builtins(spec)
-        )
+        return write_set(folder, run_tasks(render_line, lines, farm, show_progress), msgspec.to_builtins(spec))
     except OSError as error:
         raise UsageError(f"{folder}: {error.strerror}. Name another folder, or make room") from error
     finally:
@@ -235,15 +234,17 @@ def augmented_truth(path: Path) -> tuple[str, tuple[PlacedTarget, ...]]:
     )
 
 
-def _each_once(packed: Iterable[Packed]) -> Iterator[Packed]:
-    """Reject a background that comes again."""
+def _check_once(lines: Iterable[SimulatedLine | AugmentedLine]) -> None:
+    """Reject augmented logs that are not there, and a background that comes again, before missions are rendered."""
     splits: dict[str, str] = {}
-    for item in packed:
-        background, split = item.shard.background, item.shard.split
+    for line in lines:
+        if isinstance(line, SimulatedLine):
+            background = line.background
+        else:
+            background, _ = augmented_truth(line.folder / TRUTH_NAME)
         if background in splits:
             raise UsageError(
-                f"sea floor '{background}' is in the set twice, for {splits[background]} and for {split}. Give each "
-                "recorded line once"
+                f"sea floor '{background}' is in the set twice, for {splits[background]} and for {line.split}. Give "
+                "each recorded line once"
             )
-        splits[background] = split
-        yield item
+        splits[background] = line.split

@@ -26,6 +26,7 @@ from auv_mcm.records import Ping
 from auv_mcm.settings.config import Config, parse_config
 from sim_replay.fitting import calibrate_odds, fit_theatre
 from sim_replay.fitting.cascade.farm import Farm
+from sim_replay.fitting.cascade.spec import SonarVariant
 from sim_replay.fitting.fit_odds import written
 from sim_replay.fitting.looks import LookTask, flight_of
 from sim_replay.fitting.theatre import USUAL, Theatre, read_theatre
@@ -33,7 +34,7 @@ from sim_replay.fitting.verifier.weigh import Looks
 from sim_replay.logs.xtf_writer import write_xtf
 from sim_replay.missions import served_by
 from sim_replay.scoring.thresholds import BestScores
-from sim_replay.simulator.scene_file import read_scene
+from sim_replay.simulator.scene_file import check_scene, read_scene
 from tests.sim_replay.fitting.test_calibrate_odds import Flown, flown
 from tests.sim_replay.logs import sonar_logs
 
@@ -72,6 +73,8 @@ def test_missions_carry_the_sonars_in_turn_and_show_the_picture_configured(theat
     assert config.detect.suppression_m == 1.5
     assert (config.sonar.transfer, config.confirm.targets) == ("auto", "shipped"), "of a vehicle, not of its models"
     assert theatre.carried(scene, 1)[0] == scene
+    near = theatre._replace(sonars=(SonarVariant(range_m=40.0),)).carried(read_scene("flat"), 0)[0]
+    check_scene(near, "flat")  # whose objects lie up to 46 m away
     assert USUAL.carried(scene, 0)[0] == scene
     by_cascade = theatre.with_files(model="own.json", odds="odds.json").config
     assert served_by("cascade", by_cascade) == by_cascade

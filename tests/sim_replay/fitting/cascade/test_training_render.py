@@ -195,7 +195,7 @@ def test_one_sea_floor_in_two_splits_is_refused(tmp_path: Path, short: Simulated
     (tmp_path / "set.yaml").write_text("augmented: [{folder: one, split: train}, {folder: two, split: test}]")
     with pytest.raises(UsageError, match=r"'line-7\.xtf' is in the set twice, for train and for test"):
         render_set(tmp_path / "set.yaml", tmp_path / "out", Farm())
-    assert not (tmp_path / "out" / "manifest.json").exists()
+    assert not (tmp_path / "out").exists(), "said before anything is rendered"
 
 
 def test_targets_without_room_are_reported_before_any_mission_is_flown(folder: Path, tmp_path: Path) -> None:
