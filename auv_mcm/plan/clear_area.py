@@ -108,7 +108,8 @@ class ClearArea:
         limits = self._limits(area.frame, request)
         self._learn_of(area, request, clearance, limits)
         ground = self._expected(area.ground, limits)
-        wanted = area.cells & (self._vain < MAX_VAIN_PASSES) & (not state.is_reached)
+        is_enough = area_state(area._replace(ground=ground), plan.required_clearance).is_reached
+        wanted = area.cells & (self._vain < MAX_VAIN_PASSES) & (not is_enough)
         if not wanted.any():
             verdict = "" if self._pending else self._given_up(area)
             verdict = _done(area, plan.required_clearance) if state.is_reached else verdict
@@ -122,7 +123,7 @@ class ClearArea:
         mean = (
             plan.required_clearance * np.count_nonzero(area.cells) - p[area.cells & ~wanted].sum()
         ) / np.count_nonzero(wanted)
-        world = SurveyState(ground, wanted, wished(plan.required_clearance), self._model, asking, min(float(mean), 1.0))
+        world = SurveyState(ground, wanted, wished(plan.required_clearance), self._model, asking, float(mean))
         self._previous = found = replan(world, pose, limits, self._previous, more_time)
         verdict = "" if found.legs or self._pending else found.verdict
         return Proposal(found.waypoints, (), state._replace(verdict=verdict))

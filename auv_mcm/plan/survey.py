@@ -43,7 +43,8 @@ class SurveyState(NamedTuple):
 
     area: bool, of the shape of the clearance's arrays (see `clearance_over`), cells that must be cleared; required: the
     probability, below 1, with which a mine in each has to be found; mean_required: the mean over the cells that
-    suffices, 1 for none; performance: what views are worth; contacts: with `next_look_deg` where a view may decide.
+    suffices, 1 or more for none; performance: what views are worth; contacts: with `next_look_deg` where a view may
+    decide.
     """
 
     clearance: Clearance

@@ -217,6 +217,19 @@ def test_a_leg_that_is_not_reported_yet_is_not_flown_twice() -> None:
     assert len(slow.flown) <= len(quick.flown) + 1
 
 
+@pytest.mark.parametrize(("p", "is_enough"), [(0.75, False), (0.85, True)])
+def test_a_leg_that_is_not_shown_yet_counts_for_what_one_view_clears(p: float, is_enough: bool) -> None:
+    """A mean of 0.8 is required of a strip that all lies in the swath of the leg, on one side."""
+    mission = Mission(model=EvenLook(p), area=((0.0, 8.0), (0.0, 20.0), (60.0, 20.0), (60.0, 8.0)))
+    mission.ping()
+    leg = mission.geodetic((-50.0, 0.0)), mission.geodetic((110.0, 0.0))
+    request = PlanRequest(*mission.geodetic((110.0, 0.0)), 1.57, frozenset(), 160.0, (leg,), mission.now_s)
+    proposal = mission.propose(request)
+    assert (proposal.waypoints == ()) is is_enough
+    assert proposal.area is not None
+    assert proposal.area.verdict == ""  # until the leg is shown
+
+
 def test_where_no_mine_can_be_found_the_plan_states_at_once_that_the_area_cannot_be_cleared() -> None:
     mission = Mission(model=EvenLook(0.0))
     assert mission.run().startswith("cannot, because")
@@ -313,6 +326,8 @@ def test_no_plan_leads_out_of_the_fence_or_beyond_the_track_left(
     request = PlanRequest(*mission.geodetic(place), heading_rad, frozenset(), mission.max_track_m - left_m)
     proposal = mission.propose(request)
     assert_inside(mission, proposal)
+    for start in proposal.waypoints[:1]:
+        assert math.remainder(start.heading_rad - heading_rad, 2.0 * math.pi) == pytest.approx(0.0, abs=1e-4)
     places = np.array([mission.place_of(point) for point in proposal.waypoints]).reshape(-1, 2)
     assert np.hypot(*np.diff(places, axis=0).T).sum() <= max(left_m, 0.0) + 0.1
     assert proposal.area is not None
