@@ -140,8 +140,9 @@ def _open_cells(world: SurveyState, is_open: NDArray[np.bool_], wanted: float) -
     clearance = world.clearance
     row, column = np.nonzero(is_open)
     thin = -(-len(row) // _MAX_CELLS) if len(row) else 1
-    if thin > 1:  # of a regular pattern whose cells lie in no common row
-        at = np.flatnonzero((column + row * (1 + int(math.sqrt(thin)))) % thin == 0)
+    if thin > 1:  # of a regular pattern with as many cells in every row and column: the step shares no factor with thin
+        step = next(step for step in range(1 + int(math.sqrt(thin)), 2 * thin) if math.gcd(step, thin) == 1)
+        at = np.flatnonzero((column + row * step) % thin == 0)
         row, column = row[at], column[at]
     share = np.count_nonzero(is_open) / max(len(row), 1)
     at_cell = row, column
