@@ -14,13 +14,13 @@ from hypothesis import strategies as st
 from auv_mcm.plan.contact_legs import contact_legs, information_nats
 from auv_mcm.plan.dubins import PlanePose, dubins_lengths
 from auv_mcm.plan.limits import Limits
-from auv_mcm.plan.orienteering import Problem, gain_bound_m2, gains_m2, greedy_legs, route_length_m
+from auv_mcm.plan.orienteering import Problem, gain_bound_m2, gains_m2, greedy_legs, route_length_m, trimmed_legs
 from auv_mcm.plan.search import improved
 from auv_mcm.plan.survey import SurveyState, replan
 from auv_mcm.plan.tour import WAYS, richest_tour, tour_length
 from auv_mcm.plan.tracks import Cells, survey_tracks
 from auv_mcm.plan.turns import Array, Turns, ends_of
-from tests.auv_mcm.plan.survey_worlds import LIMITS, Sonar, contact, world
+from tests.auv_mcm.plan.survey_worlds import CELL_M, LIMITS, Sonar, contact, world
 
 POSE = PlanePose(-20.0, 10.0, 0.5)
 
@@ -113,6 +113,46 @@ def test_greedy_gains_are_those_of_measuring_every_leg_anew_each_time() -> None:
     assert min(gains) > 0.0
     single = [gains_m2(problem, [leg])[0] for leg in legs]
     assert all(later <= alone + 1e-9 for later, alone in zip(gains, single, strict=True))
+
+
+def test_legs_are_cut_back_by_what_others_see_and_lose_nothing() -> None:
+    problem = problem_of(world(16, 30), LIMITS)
+    every = np.ones(problem.tracks.n_legs, dtype=np.bool_)
+    for heading in range(8):
+        beside = np.flatnonzero(problem.tracks.heading == heading)
+        longest = beside[np.argsort(-problem.tracks.length_m[beside])[:6]].tolist()
+        legs = greedy_legs(problem, every, longest, always)
+        cut, left = trimmed_legs(problem, legs, always)
+        assert sum(gains_m2(cut, left)) == pytest.approx(sum(gains_m2(problem, legs)), abs=1e-4)
+        assert cut.tracks.length_m[left].sum() < 0.8 * problem.tracks.length_m[legs].sum()
+        for leg in left:  # what it counts for lies abeam of its run, less the settling
+            entry, leave = cut.tracks.run[leg]
+            cell = cut.tracks.cell[cut.tracks.first[leg] : cut.tracks.last[leg]]
+            sine, cosine = math.sin(entry[2]), math.cos(entry[2])
+            along_m = (cut.cells.east_m[cell] - entry[0]) * sine + (cut.cells.north_m[cell] - entry[1]) * cosine
+            margin_m = LIMITS.settling_m + 0.5 * CELL_M * (abs(sine) + abs(cosine)) - 1e-3
+            assert along_m.min() >= margin_m
+            assert along_m.max() <= math.dist(entry[:2], leave[:2]) - margin_m
+
+
+def test_a_run_of_the_plan_before_counts_for_what_the_same_leg_does_now() -> None:
+    problem = problem_of(world(16, 30), LIMITS)
+    for leg in [int(np.flatnonzero(problem.tracks.heading == heading)[9]) for heading in range(8)]:
+        entry, leave = ends_of(problem.tracks, 2 * leg)
+        again = survey_tracks(problem.cells, problem.model, LIMITS, [(entry, leave)], always)
+        of_each = (slice(tracks.first[k], tracks.last[k]) for tracks, k in ((problem.tracks, leg), (again, -1)))
+        before, now = next(of_each), next(of_each)
+        np.testing.assert_array_equal(again.cell[now], problem.tracks.cell[before])
+        np.testing.assert_allclose(again.exponent[now], problem.tracks.exponent[before])
+
+
+def test_lines_are_cut_back_alike_whichever_corner_the_fence_cuts_off() -> None:
+    fence = np.array([[-140.0, -140.0], [-140.0, 140.0], [-80.0, 140.0], [140.0, -80.0], [140.0, -140.0]])
+    legs_m = [
+        problem_of(world(20, 20), LIMITS._replace(fence=fence * mirror + 40.0)).tracks.length_m.sum()
+        for mirror in product((1.0, -1.0), repeat=2)
+    ]
+    assert legs_m == pytest.approx([legs_m[0]] * 4)
 
 
 @settings(max_examples=30, deadline=None)
