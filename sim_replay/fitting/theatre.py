@@ -12,6 +12,7 @@ from auv_mcm.settings.config import Config
 from sim_replay.fitting.cascade.spec import SonarVariant, carrying, on_grid, read_training_spec, within_swath
 from sim_replay.fitting.cascade.tiles import Split
 from sim_replay.missions import HELD_OUT, SCENES, config_for
+from sim_replay.simulator.plan import place_in_plane, planned_legs, swath_m
 from sim_replay.simulator.scene import Scene
 
 _PING_SHARE: Final = 0.95  # of the ping rate that the way of sound to the end of the range and back allows
@@ -43,11 +44,14 @@ class Theatre(NamedTuple):
         return [folder for each, folder in self.lines if each == split]
 
     def carried(self, scene: Scene, number: int) -> tuple[Scene, Config]:
-        """Let a mission carry the sonar whose turn it is, no faster than sound allows, and configure the payload."""
+        """Let a mission carry the sonar whose turn it is, no faster than sound allows, and configure the payload.
+
+        What lies beyond the sonar's reach is left out.
+        """
         sonar = self.sonars[number % len(self.sonars)]
         flown = carrying(scene, sonar)
         if sonar.range_m is not None:
-            flown = within_swath(flown)
+            flown = _within_reach(within_swath(flown))
         if sonar.ping_rate_hz is None:
             fastest_hz = _PING_SHARE * 0.5 * flown.sonar.sound_speed_mps / flown.sonar.range_m
             rate_hz = min(flown.sonar.ping_rate_hz, fastest_hz) if sonar.range_m else flown.sonar.ping_rate_hz
@@ -62,6 +66,14 @@ class Theatre(NamedTuple):
         """Take out what the odds decide, to fit them; the gate of other odds goes if the detector is not the usual."""
         gate = SHIPPED if self.config.detect.model in (SHIPPED, NONE) else NONE
         return self.with_files(odds=SHIPPED, gate=gate, background=SHIPPED)
+
+
+def _within_reach(scene: Scene) -> Scene:
+    """Leave out the single objects that no leg of the scene's sonar reaches."""
+    reach_m, legs = swath_m(scene), planned_legs(scene.track.plan)
+    placed = [(one, place_in_plane(scene, one)) for one in scene.objects]
+    seen = tuple(one for one, place_m in placed if min(leg.distance_m(*place_m) for leg in legs) <= reach_m)
+    return msgspec.structs.replace(scene, objects=seen)
 
 
 def with_files(config: Config, **files: str) -> Config:

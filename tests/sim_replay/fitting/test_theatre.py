@@ -27,6 +27,7 @@ from auv_mcm.settings.config import Config, parse_config
 from sim_replay.fitting import calibrate_odds, fit_theatre
 from sim_replay.fitting.cascade.farm import Farm
 from sim_replay.fitting.cascade.spec import SonarVariant
+from sim_replay.fitting.detection_performance.performance_missions import target_scene
 from sim_replay.fitting.fit_odds import written
 from sim_replay.fitting.looks import LookTask, flight_of
 from sim_replay.fitting.theatre import USUAL, Theatre, read_theatre
@@ -73,12 +74,19 @@ def test_missions_carry_the_sonars_in_turn_and_show_the_picture_configured(theat
     assert config.detect.suppression_m == 1.5
     assert (config.sonar.transfer, config.confirm.targets) == ("auto", "shipped"), "of a vehicle, not of its models"
     assert theatre.carried(scene, 1)[0] == scene
-    near = theatre._replace(sonars=(SonarVariant(range_m=40.0),)).carried(read_scene("flat"), 0)[0]
-    check_scene(near, "flat")  # whose objects lie up to 46 m away
     assert USUAL.carried(scene, 0)[0] == scene
     by_cascade = theatre.with_files(model="own.json", odds="odds.json").config
     assert served_by("cascade", by_cascade) == by_cascade
     assert served_by("contrast", by_cascade).confirm.odds == "shipped", "those are the cascade's"
+
+
+def test_missions_show_nothing_beyond_the_reach_of_the_sonar_carried(theatre: Theatre) -> None:
+    near = theatre._replace(sonars=(SonarVariant(range_m=40.0),))
+    check_scene(near.carried(read_scene("flat"), 0)[0], "flat")  # whose objects lie up to 46 m away
+    wide = next(scene for seed in range(9) if (scene := target_scene(seed)).sonar.range_m == 75.0)
+    seen = near.carried(wide, 0)[0]
+    check_scene(seen, "of detection performance")
+    assert len(wide.objects) / 3 < len(seen.objects) < len(wide.objects)
 
 
 def test_a_line_with_targets_is_flown_as_it_lies_there(theatre: Theatre, tmp_path: Path) -> None:
