@@ -47,9 +47,8 @@ Blend: TypeAlias = Literal["mean", "nearest", "max", "last"]
 """Which of several passes over a place is shown: all of them by weight, the one that sees best, the brightest, or the
 last one. All but the first keep a shadow that another pass does not see."""
 Key: TypeAlias = tuple[int, int]
-Sums: TypeAlias = NDArray[
-    np.float32
-]  # (2 or 3, BLOCK, BLOCK): weight, weighted intensity and, with errors, variance in m^2
+Sums: TypeAlias = NDArray[np.float32]
+"""(2 or 3, BLOCK, BLOCK): weight, weighted intensity and, with errors, weighted variance in m^2."""
 
 
 class Box(NamedTuple):

@@ -36,7 +36,7 @@ LINES: Final = {
     "sim_replay/benches": Limit(7_440, 6_000),
     "sim_replay/commands": Limit(2_000, 700),
     "sim_replay/fakes": Limit(4_280, 3_500),
-    "sim_replay/fitting": Limit(7_760, 5_200),
+    "sim_replay/fitting": Limit(7_770, 5_200),
     "sim_replay/hil": Limit(2_100, 3_300),
     "sim_replay/logs": Limit(8_030, 3_900),
     "sim_replay/report": Limit(2_030, 2_000),

@@ -142,10 +142,14 @@ def judged(theatres: dict[str, Theatre], farm: Farm, show: Show) -> str:
     if not tasks:
         return "nothing was judged: give the spec `seeds: {test: ...}`, or an augmented folder with `split: test`"
     rows = []
-    for name, one in theatres.items():
+    for number, (name, one) in enumerate(theatres.items()):
+
+        def shown(done: int, before: int = number * len(tasks)) -> None:
+            show(before + done, len(theatres) * len(tasks))
+
         fly = partial(_scores_of, config=one.config)
         own = [task._replace(theatre=theatre) for task in tasks]
-        missions = list(run_tasks(fly, own, farm, lambda done: show(done, len(tasks))))
+        missions = list(run_tasks(fly, own, farm, shown))
         bands = [banded_at(missions, limit) for limit in LIMITS_PER_KM2]
         rows.append([name, *(f"{band.value:.2f} ({band.low:.2f} to {band.high:.2f})" for band in bands)])
     header = ["models", *(f"Pd at {limit:g} FA/km²" for limit in LIMITS_PER_KM2)]

@@ -242,6 +242,8 @@ def _check_once(lines: Iterable[SimulatedLine | AugmentedLine]) -> None:
             background = line.background
         else:
             background, _ = augmented_truth(line.folder / TRUTH_NAME)
+            if not (line.folder / background).is_file():
+                raise BadInputError(f"{line.folder / background} does not exist. Check the path.")
         if background in splits:
             raise UsageError(
                 f"sea floor '{background}' is in the set twice, for {splits[background]} and for {line.split}. Give "

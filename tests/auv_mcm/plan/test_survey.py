@@ -344,9 +344,8 @@ def test_contacts_are_looked_at_towards_where_they_ask_from_the_range_that_is_be
         beside = float((place - leg.entry[:2]) @ np.array([math.cos(heading), -math.sin(heading)]))
         middle = 0.5 * (np.array(leg.entry[:2]) + leg.exit[:2])
         assert abs(float((place - middle) @ np.array([math.sin(heading), math.cos(heading)]))) < 0.01
-        assert (
-            abs(abs(beside) - 16.0) < 44.0 / 16.0
-        )  # middle of 6 to 26 m, which are as good; tried in 16 steps of 44 m
+        # In the middle of 6 to 26 m, which are as good, but for one of the 16 steps of 44 m that are tried.
+        assert abs(abs(beside) - 16.0) < 44.0 / 16.0
         look_deg = math.degrees(heading) + math.copysign(90.0, beside)
         assert abs(math.remainder(look_deg - 37.0 * int(leg.contact_id[1:]), 180.0)) < 0.01
         look = 37 * int(leg.contact_id[1:])

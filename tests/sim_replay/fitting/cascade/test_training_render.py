@@ -195,6 +195,9 @@ def test_one_sea_floor_in_two_splits_is_refused(tmp_path: Path, short: Simulated
     (tmp_path / "set.yaml").write_text("augmented: [{folder: one, split: train}, {folder: two, split: test}]")
     with pytest.raises(UsageError, match=r"'line-7\.xtf' is in the set twice, for train and for test"):
         render_set(tmp_path / "set.yaml", tmp_path / "out", Farm())
+    (tmp_path / "one" / "line-7.xtf").unlink()
+    with pytest.raises(BadInputError, match=r"one/line-7\.xtf does not exist"):
+        render_set(tmp_path / "set.yaml", tmp_path / "out", Farm())
     assert not (tmp_path / "out").exists(), "said before anything is rendered"
 
 
