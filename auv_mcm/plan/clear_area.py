@@ -1,16 +1,17 @@
 """Clear an area: plan legs anew from what has been seen until the required clearance is reached or cannot be.
 
-What a leg has shown is known only later, when the tiles that it runs through are complete. Until then its cells count
-as searched as well as expected, so that the same leg is not planned again at once. Cells that legs have passed twice
-and that have gained next to nothing are given up.
+What a leg has shown is known tile by tile, the last of it after its end. Until then its cells count as searched as well
+as expected, so that the same leg is not planned again at once. Cells that legs have passed twice
+and that have gained next to nothing are given up. Sea floor not seen yet is expected to be like the nearest that was.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Final, NamedTuple
 
+import cv2
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +26,7 @@ from auv_mcm.plan.plan_words import area_words
 from auv_mcm.plan.propose import propose
 from auv_mcm.plan.reinspect import SETTLING_RADII, most_undecided
 from auv_mcm.plan.survey import Plan, SurveyState, replan
-from auv_mcm.records import Contact, CoveragePatch, EchoTrace, Ping, Side
+from auv_mcm.records import SEABED_TYPES, SIDES, Contact, CoveragePatch, EchoTrace, Ping, Side
 from auv_mcm.settings.config import Config
 
 # after which a cell is given up and reported: sailing on would not change why it was in vain
@@ -44,8 +45,25 @@ def wished(required: float) -> float:
     return 1.0 - 0.5 * (1.0 - required)
 
 
+def floor_ahead(ground: Clearance) -> Clearance:
+    """Expect cells not seen yet to be like the nearest that was seen; flat before any was.
+
+    Plans for the worst of all floors would lay legs closer than most areas need. If the floor turns out harder, the
+    next plan knows.
+    """
+    if not ground.seen.any():
+        return msgspec.structs.replace(ground, seabed=np.full_like(ground.seabed, SEABED_TYPES.index("flat")))
+    unseen = (~ground.seen).astype(np.uint8)
+    _, nearest = cv2.distanceTransformWithLabels(unseen, cv2.DIST_L2, cv2.DIST_MASK_5, labelType=cv2.DIST_LABEL_PIXEL)
+    seen = np.flatnonzero(ground.seen)
+    at = np.zeros(seen.size + 1, dtype=np.intp)
+    at[nearest.ravel()[seen]] = seen  # each seen cell has a label of its own
+    at = at[nearest]
+    return msgspec.structs.replace(ground, seabed=ground.seabed.ravel()[at], ripple_rad=ground.ripple_rad.ravel()[at])
+
+
 class _Flown(NamedTuple):
-    """Hold a survey leg that was flown. until_s: mission time of its end. before: the clearance known then."""
+    """Hold a survey leg that was flown. until_s: mission time of its end. before: the clearance known at its begin."""
 
     ends_deg: Run
     until_s: float
@@ -65,6 +83,7 @@ class ClearArea:
         self._now_s = -math.inf
         self._shown_until_s: dict[Side, float] = {}
         self._pending: list[_Flown] = []
+        self._known: Clearance | None = None  # at the last request; none is made on a leg
         self._plane: LocalFrame | None = None
         self._vain = np.zeros((0, 0), dtype=np.uint8)  # passes, per cell of the area's box
         self._previous: Plan | None = None
@@ -106,8 +125,9 @@ class ClearArea:
                 (), (), state._replace(verdict=_done(area, plan.required_clearance) if state.is_reached else "")
             )
         limits = self._limits(area.frame, request)
-        self._learn_of(area, request, clearance, limits)
-        ground = self._expected(area.ground, limits)
+        self._learn_of(area, request, limits)
+        self._known = clearance
+        ground = self._expected(floor_ahead(area.ground), limits)
         is_enough = area_state(area._replace(ground=ground), plan.required_clearance).is_reached
         wanted = area.cells & (self._vain < MAX_VAIN_PASSES) & (not is_enough)
         if not wanted.any():
@@ -149,9 +169,9 @@ class ClearArea:
             return "no ping has shown how far the sonar reaches"
         return obstacle(pose, limits)
 
-    def _learn_of(self, area: Area, request: PlanRequest, clearance: Clearance | None, limits: Limits) -> None:
+    def _learn_of(self, area: Area, request: PlanRequest, limits: Limits) -> None:
         """Record legs flown since the last request, and judge earlier ones that are shown by now."""
-        self._pending += [_Flown(ends_deg, request.time_s, clearance) for ends_deg in request.flown]
+        self._pending += [_Flown(ends_deg, request.time_s, self._known) for ends_deg in request.flown]
         if self._previous is not None:
             gone = [in_plane(ends_deg, area.frame) for ends_deg in request.flown]
             left = tuple(
@@ -174,9 +194,9 @@ class ClearArea:
         self._vain = np.where(seen, np.where(vain, np.minimum(self._vain, 254) + 1, 0), self._vain).astype(np.uint8)
 
     def _expected(self, ground: Clearance, limits: Limits) -> Clearance:
-        """Add what pending legs, not shown yet, are expected to clear."""
+        """Add what pending legs are expected to clear where they are not shown yet."""
         for leg in self._pending:
-            exponent = self._with_look(ground, leg, limits, ground.exponent)
+            exponent = self._with_look(ground, leg, limits, ground.exponent, self._shown_until_s)
             looks = np.where(exponent > ground.exponent, np.minimum(ground.looks, 254) + 1, ground.looks).astype(
                 np.uint8
             )
@@ -187,9 +207,17 @@ class ClearArea:
         return ground
 
     def _with_look(
-        self, ground: Clearance, leg: _Flown, limits: Limits, exponent: NDArray[np.float64]
+        self,
+        ground: Clearance,
+        leg: _Flown,
+        limits: Limits,
+        exponent: NDArray[np.float64],
+        shown_until_s: Mapping[Side, float] | None = None,
     ) -> NDArray[np.float64]:
-        """Add a view from the leg to the miss exponents of cells abeam of its run, less the settling."""
+        """Add a view from the leg to the miss exponents of cells abeam of its run, less the settling.
+
+        shown_until_s: leave out what was abeam until then.
+        """
         entry, leave = in_plane(leg.ends_deg, frame_of(ground))
         along = (leave - entry) / max(float(np.hypot(*(leave - entry))), 1e-9)
         place = middles_m(ground) - entry
@@ -199,6 +227,10 @@ class ClearArea:
         length_m = float(np.hypot(*(leave - entry)))
         seen = (np.abs(to_right_m) >= near_m) & (np.abs(to_right_m) <= far_m)
         seen &= (ahead_m >= limits.settling_m) & (ahead_m <= length_m - limits.settling_m)
+        if shown_until_s is not None:
+            port_s, starboard_s = (shown_until_s.get(side, -math.inf) for side in SIDES)
+            abeam_s = leg.until_s - (length_m - ahead_m) / self._config.vehicle.speed_mps
+            seen &= abeam_s > np.where(to_right_m > 0.0, starboard_s, port_s)
         heading = _heading_rad(np.stack([entry, leave]))
         look = np.mod(heading + np.sign(to_right_m[seen]) * 0.5 * math.pi, 2.0 * math.pi).astype(np.float32)
         p = self._model.p_look(

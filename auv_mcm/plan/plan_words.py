@@ -41,8 +41,11 @@ def survey_words(
     """Explain a survey leg.
 
     Arrays (n,) hold for the cells that it adds to the area each gains in full clearance, and what is known of the cell.
+    Of cells not looked at, sea floor and ripples are expected and not stated.
     """
     total = float(gain_m2.sum())
+    seabed = np.where(looked, seabed, np.uint8(SEABED_TYPES.index("unknown")))
+    ripple_rad = np.where(looked, ripple_rad, np.float32(np.nan))
     by_kind = np.bincount(seabed, gain_m2, len(SEABED_TYPES))
     commonest = int(np.argmax(by_kind))
     share = f"{area_words(by_kind[commonest])} of {_NAMES[SEABED_TYPES[commonest]]}"

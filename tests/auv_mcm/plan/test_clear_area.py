@@ -8,15 +8,16 @@ import re
 from collections.abc import Iterator
 from itertools import pairwise
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from auv_mcm.clearance.clearance_map import ClearanceMap
+from auv_mcm.clearance.clearance_map import ClearanceMap, clearance_over, unsearched
 from auv_mcm.geometry.geodesy import LocalFrame
-from auv_mcm.plan.clear_area import MAX_VAIN_PASSES, ClearArea
+from auv_mcm.plan.clear_area import MAX_VAIN_PASSES, ClearArea, floor_ahead
 from auv_mcm.plan.look_again import LookAgain, PlanRequest, Proposal
 from auv_mcm.records import SEABED_TYPES, Contact, CoveragePatch, EchoTrace, Ping, Side, SurveyedCells, Waypoint
 from auv_mcm.settings.config import Config
@@ -35,6 +36,8 @@ Corners = tuple[tuple[float, float], ...]
 
 class Mission:
     """A vehicle that follows requests at once, and a sonar that shows a leg some time after its end, or never."""
+
+    steps, sight_m = STEPS, SIGHT_M
 
     def __init__(
         self,
@@ -83,7 +86,7 @@ class Mission:
 
     def ping(self) -> None:
         trace = EchoTrace(
-            samples=np.zeros(100, dtype=np.uint8), first_range_m=0.0, spacing_m=math.hypot(SIGHT_M, 5.0) / 100.0
+            samples=np.zeros(100, dtype=np.uint8), first_range_m=0.0, spacing_m=math.hypot(self.sight_m, 5.0) / 100.0
         )
         self.planner.see(Ping(number=1, time_s=self.now_s, port=trace, starboard=trace))
 
@@ -100,7 +103,7 @@ class Mission:
         return self.look_again.take(self.proposals[-1], self.now_s) is not None
 
     def propose(self, request: PlanRequest) -> Proposal:
-        left = iter(range(STEPS))
+        left = iter(range(self.steps))
         return self.planner.propose(
             self.searched.snapshot(), self.contacts, request, lambda: next(left, None) is not None
         )
@@ -157,7 +160,7 @@ class Mission:
                 off_east, off_north = 4.0 * east + 2.0 - entry[0], 4.0 * north + 2.0 - entry[1]
                 ahead = off_east * math.sin(course) + off_north * math.cos(course)
                 beside = sense * (off_east * math.cos(course) - off_north * math.sin(course))
-                if 10.0 <= ahead <= math.hypot(*(leave - entry)) - 10.0 and 2.0 <= beside <= SIGHT_M:
+                if 10.0 <= ahead <= math.hypot(*(leave - entry)) - 10.0 and 2.0 <= beside <= self.sight_m:
                     seen.append((east, north, beside))
         if not seen:
             return None
@@ -183,6 +186,11 @@ class Mission:
         assert self.way_m <= self.max_track_m + 2.0 * STEP_M
         for proposal in self.proposals:
             assert_inside(self, proposal)
+
+
+class _EasyFlat(EvenLook):
+    def p_look(self, seabed: NDArray[np.uint8], *where: NDArray[np.float32]) -> NDArray[np.float64]:
+        return np.where(seabed == SEABED_TYPES.index("flat"), 0.9, 0.3)
 
 
 def drawn_patch(side: Side, start_s: float, stop_s: float, cells: SurveyedCells | None) -> CoveragePatch:
@@ -228,6 +236,27 @@ def test_a_leg_that_is_not_shown_yet_counts_for_what_one_view_clears(p: float, i
     assert (proposal.waypoints == ()) is is_enough
     assert proposal.area is not None
     assert proposal.area.verdict == ""  # until the leg is shown
+
+
+def test_what_a_leg_has_shown_is_not_expected_once_more() -> None:
+    """One view finds 0.75 of what is required to be 0.8: half of the leg shown already leaves it so."""
+    mission = Mission(model=EvenLook(0.75), area=((0.0, 8.0), (0.0, 20.0), (60.0, 20.0), (60.0, 8.0)))
+    mission.ping()
+    ends_m = np.array([[-50.0, 0.0], [110.0, 0.0]])
+    middle_s = mission.now_s - 80.0 / mission.config.vehicle.speed_mps
+    for side, sense in (("port", -1.0), ("starboard", 1.0)):
+        cells = mission._cells(ends_m[0], np.array([40.0, 0.0]), 0.5 * math.pi, sense)  # to the middle, and 10 m more
+        patch = drawn_patch(side, middle_s - 60.0, middle_s, cells)  # type: ignore[arg-type]  # a side by its name
+        mission.searched.add(patch)
+        mission.planner.add(patch)
+    leg = tuple(mission.geodetic(tuple(end)) for end in ends_m.tolist())
+    request = PlanRequest(*mission.geodetic((110.0, 0.0)), 1.57, frozenset(), 160.0, (leg,), mission.now_s)  # type: ignore[arg-type]  # two ends
+    assert mission.propose(request).waypoints
+
+
+def test_a_leg_that_is_shown_while_it_is_sailed_is_not_in_vain() -> None:
+    mission = Mission(model=EvenLook(0.3, same=0.2), shown_after_s=0.0)
+    assert mission.run().startswith("done")
 
 
 def test_where_no_mine_can_be_found_the_plan_states_at_once_that_the_area_cannot_be_cleared() -> None:
@@ -294,6 +323,37 @@ def test_before_the_sonar_sounds_nothing_is_planned() -> None:
     mission.ping()
     mission.now_s += 60.0
     assert mission.plan()
+
+
+@given(seed=st.integers(0, 10_000), shape=st.tuples(st.integers(1, 12), st.integers(1, 12)))
+@settings(deadline=None)
+def test_floor_not_seen_is_expected_to_be_like_the_nearest_seen(seed: int, shape: tuple[int, int]) -> None:
+    random = np.random.default_rng(seed)
+    looks = (random.random(shape) < 0.2).astype(np.uint8)
+    seabed = random.integers(0, len(SEABED_TYPES), shape).astype(np.uint8)
+    ripple_rad = random.random(shape).astype(np.float32)
+    ground = msgspec.structs.replace(
+        clearance_over(unsearched(43.0, 5.0, 4.0), 0, 0, shape), looks=looks, seabed=seabed, ripple_rad=ripple_rad
+    )
+    ahead = floor_ahead(ground)
+    assert (ahead.looks == looks).all()
+    assert not ahead.exponent.any()
+    places = np.argwhere(looks)
+    for at in np.ndindex(shape):
+        if not len(places):
+            assert SEABED_TYPES[ahead.seabed[at]] == "flat"
+            continue
+        away = np.hypot(*(places - at).T)
+        near = [tuple(place) for place in places[away <= 1.05 * away.min() + 1e-9]]
+        assert (ahead.seabed[at], ahead.ripple_rad[at]) in [(seabed[one], ripple_rad[one]) for one in near]
+
+
+def test_on_floor_easier_than_the_worst_an_area_takes_no_more_legs_than_it_needs() -> None:
+    """A view of flat floor finds 0.9, one of any other 0.3."""
+    strip = ((0.0, 0.0), (0.0, 44.0), (60.0, 44.0), (60.0, 0.0))
+    mission = Mission(model=_EasyFlat(), area=strip, shown_after_s=100.0)
+    assert mission.run().startswith("done")
+    assert len(mission.flown) == 1
 
 
 def test_a_contact_is_looked_at_on_the_way_and_after_the_area_is_clear() -> None:

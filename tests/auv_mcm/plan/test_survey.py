@@ -176,8 +176,7 @@ def test_over_ripples_it_looks_across_the_crests() -> None:
         longest = max(replan(state, POSE, LIMITS, None, steps(200)).legs, key=lambda leg: leg.gain_m2)
         look = longest.entry.heading_rad + math.pi / 2.0
         assert abs(math.remainder(look - math.radians(ripple_deg), math.pi)) < math.radians(30.0)
-        assert "ripple" in longest.why
-        assert "across the crests" in longest.why
+        assert "of floor of unknown kind" in longest.why  # its ripples are expected, and not seen yet
 
 
 @pytest.mark.parametrize(
@@ -188,10 +187,16 @@ def test_the_reason_names_how_the_look_meets_the_crests_and_what_else_is_there(o
     gain_m2, seabed = np.full(n, 100.0), np.full(n, SEABED_TYPES.index("ripple"), dtype=np.uint8)
     seabed[:2] = SEABED_TYPES.index("flat")
     ripple_rad = np.full(n, math.radians(40.0 + 90.0 + off_deg), dtype=np.float32)
-    assert survey_words(heading_rad, gain_m2, seabed, ripple_rad, np.arange(n) < 2) == (
+    assert survey_words(heading_rad, gain_m2, seabed, ripple_rad, np.ones(n, dtype=np.bool_)) == (
         f"clears 1\u2009800 m² of ripple and 200 m² of other kinds at 040° {words} the crests; "
-        "200 m² of it were searched before and not well enough"
+        "2\u2009000 m² of it were searched before and not well enough"
     )
+
+
+def test_the_reason_states_no_kind_of_floor_that_is_only_expected() -> None:
+    kinds, crests = np.full(20, SEABED_TYPES.index("ripple"), dtype=np.uint8), np.zeros(20, dtype=np.float32)
+    words = survey_words(0.0, np.full(20, 100.0), kinds, crests, np.zeros(20, dtype=np.bool_))
+    assert words == "clears 2\u2009000 m² of floor of unknown kind at 000°"
 
 
 def star(radii: list[float], turned: float) -> NDArray[np.float64]:
