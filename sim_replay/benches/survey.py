@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
 from typing import Final, NamedTuple
 
@@ -20,13 +20,13 @@ import numpy as np
 from auv_mcm.clearance.area import AreaState, area_state, over_area
 from auv_mcm.clearance.clearance_map import ClearanceMap
 from auv_mcm.clearance.detection_performance import shipped_performance
+from auv_mcm.errors import UsageError
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.plan.clear_area import ClearArea
 from auv_mcm.plan.look_again import LookAgain
 from auv_mcm.records import Contact, CoveragePatch, NavSample, Ping, Waypoint
 from auv_mcm.settings.config import Config
-from sim_replay.arguments import count
 from sim_replay.benches.experiment import Column, Experiment, PairedColumn, Task, density, number, share
 from sim_replay.missions import FIRST_SEED, config_for
 from sim_replay.scoring.called import CalledPoint, called_point
@@ -75,9 +75,12 @@ def fly(task: Task) -> dict[str, Survey]:
 def _square(name: str, seed: int, side_m: float) -> Scene:
     """Draw a square whose south-west corner is the origin, with the floor and the objects of a named scene.
 
-    Its patches are half as wide as the square, so that legs can choose among them; the sonar reaches a fifth.
+    Its patches are half as wide as the square, so that legs can choose among them; the sonar reaches a fifth. Raises
+    UsageError for a synthetic aperture.
     """
     scene = msgspec.structs.replace(read_scene(name), seed=seed)
+    if scene.sonar.synthetic_aperture is not None:
+        raise UsageError(f"--scenes {name}: images of whole legs cannot be planned on the way. Choose another scene")
     sonar, range_m = scene.sonar, side_m / 5.0
     sonar = msgspec.structs.replace(sonar, range_m=range_m, n_samples=round(sonar.n_samples * range_m / sonar.range_m))
     scene = msgspec.structs.replace(
@@ -257,11 +260,19 @@ def _way_m(surveys: Sequence[Survey]) -> float:
     return sum(one.way_m for one in surveys) / len(surveys)
 
 
+def _whole(low: int, high: int) -> Callable[[str], int]:
+    def parse(text: str) -> int:
+        if not text.isdecimal() or not low <= int(text[:9]) <= high:
+            raise argparse.ArgumentTypeError(f"'{text}' is not a whole number from {low} to {high}")
+        return int(text)
+
+    return parse
+
+
 def _add_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--side", type=count, default=200, metavar="M", help="side of the square (default 200 m)")
-    parser.add_argument(
-        "--percent", type=count, default=90, metavar="P", help="clearance required, per cent (default 90)"
-    )
+    side, percent = _whole(100, 500), _whole(50, 99)
+    parser.add_argument("--side", type=side, default=200, metavar="M", help="side of the square (default 200 m)")
+    parser.add_argument("--percent", type=percent, default=90, metavar="P", help="clearance required (default 90 %%)")
 
 
 EXPERIMENT: Final = Experiment(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from auv_mcm.cli import main
 from sim_replay.benches import survey
 from sim_replay.benches.experiment import Task, experiment_rows
 from sim_replay.benches.survey import EXPERIMENT, PLANNED, lanes_over
@@ -37,3 +38,16 @@ def test_every_pass_of_lanes_leaves_no_place_farther_than_half_a_spacing(spacing
     headings = [round(np.degrees(some[0].direction_rad)) for some in passes]
     assert headings == [0, 90] * 4
     assert not list(legs)
+
+
+@pytest.mark.parametrize("options", [["--side", "99"], ["--percent", "100"], ["--side", "a"]])
+def test_an_order_that_cannot_be_is_refused(options: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["bench", "survey", *options])
+    assert ended.value.code == 2
+    assert "is not a whole number from" in capsys.readouterr().err
+
+
+def test_images_of_whole_legs_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", "survey", "--scenes", "sas", "--seeds", "1", "--workers", "1"]) == 2
+    assert "cannot be planned on the way" in capsys.readouterr().err
