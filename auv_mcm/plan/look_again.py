@@ -273,8 +273,9 @@ class LookAgain:
         return self.plan
 
     def _is_survey_due(self, now_s: float) -> bool:
-        is_judged = self.area is not None and self.area.verdict.startswith(("done", "cannot"))
-        settled = bool(self._legs) or is_judged or not self._config.vehicle.command
+        settled = (
+            bool(self._legs) or (self.area is not None and bool(self.area.verdict)) or not self._config.vehicle.command
+        )
         return self._clears and now_s - self._requested_s >= (_SURVEY_AGAIN_S if settled else _SURVEY_S)
 
     def _sail(self, latitude_deg: float, longitude_deg: float) -> None:

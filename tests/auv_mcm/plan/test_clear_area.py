@@ -321,7 +321,7 @@ def test_before_the_sonar_sounds_nothing_is_planned() -> None:
     assert mission.look_again.area is not None
     assert mission.look_again.area.verdict == "not yet, because no ping has shown how far the sonar reaches"
     mission.ping()
-    mission.now_s += 10.0
+    mission.now_s += 60.0
     assert mission.plan()
 
 
