@@ -30,7 +30,7 @@ class Limit(NamedTuple):
 LINES: Final = {
     "auv_mcm": Limit(41_180, 35_500),
     "drivers": Limit(18_130, 15_500),
-    "sim_replay": Limit(52_200, 42_000),
+    "sim_replay": Limit(52_190, 42_000),
     "sim_replay/augment": Limit(2_210, 2_400),
     "sim_replay/batch": Limit(570, 600),
     "sim_replay/benches": Limit(7_740, 6_000),

@@ -1,8 +1,8 @@
 """Clear an area: plan legs anew from what has been seen until the required clearance is reached or cannot be.
 
 What a leg has shown is known tile by tile, the last of it after its end. Until then its cells count as searched as well
-as expected, so that the same leg is not planned again at once. Cells that legs have passed twice
-and that have gained next to nothing are given up. Sea floor not seen yet is expected to be like the nearest that was.
+as expected, so that the same leg is not planned again at once. Cells that legs have passed twice and that have gained
+next to nothing are given up. Sea floor not seen yet is expected to be like the nearest that was.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def floor_ahead(ground: Clearance) -> Clearance:
 
 
 class _Flown(NamedTuple):
-    """Hold a survey leg that was flown. until_s: mission time of its end. before: the clearance known at its begin."""
+    """Hold a survey leg that was flown. until_s: mission time of its end. before: the clearance known before it."""
 
     ends_deg: Run
     until_s: float

@@ -289,9 +289,7 @@ EXPERIMENT: Final = Experiment(
             "enough for nine in ten", lambda surveys: number(float(np.quantile([one.way_m for one in surveys], 0.9)))
         ),
         PairedColumn("logarithm against the first", lambda surveys: math.log(_way_m(surveys))),
-        Column(
-            "reached", lambda surveys: share(proportion(sum(bool(one.is_reached) for one in surveys), len(surveys)))
-        ),
+        Column("reached", lambda surveys: share(proportion(sum(one.is_reached for one in surveys), len(surveys)))),
         Column("by tables", lambda surveys: number(sum(one.p_detected for one in surveys) / len(surveys), 3)),
         Column("Pd called", lambda surveys: share(_called(surveys))),
         PairedColumn("more called", lambda surveys: _called(surveys).value or 0.0),
