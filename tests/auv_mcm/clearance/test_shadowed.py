@@ -7,7 +7,7 @@ import math
 import msgspec
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -70,6 +70,7 @@ def speckled(seed: int, mean: NDArray[np.float64]) -> NDArray[np.float32]:
     lost=st.sampled_from([0.0, 0.3, 0.6]),
     seed=st.integers(0, 1000),
 )
+@example((59, 139), (0.12, 0.06), 10, 49, 0.02, 0.0, 1)  # rows and columns that fill no block are in the dark
 def test_every_dark_box_is_found_and_nothing_else(
     shape: tuple[int, int], spacing_m: tuple[float, float], top: int, height: int, level: float, lost: float, seed: int
 ) -> None:

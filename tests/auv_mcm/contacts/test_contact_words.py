@@ -81,6 +81,12 @@ def test_a_code_of_one_view_in_three_gives_no_reason() -> None:
     assert (found.reason_for, found.reason_against) == ("a bright echo with a shadow right behind it", "")
 
 
+def test_a_kind_that_is_named_overrules_reasons_of_shape_alone() -> None:
+    views = [("too_long", "no_shadow")]
+    assert said(view_reasons=views).reason_against == said(view_reasons=[("no_shadow",)]).reason_against != ""
+    assert said(view_reasons=[("too_long",)]).reason_against == ""
+
+
 @given(
     p_mine=st.one_of(st.floats(0.0, 1.0), st.just(math.nan)),
     parts=st.lists(st.floats(0.0, 1.0), min_size=6, max_size=6),

@@ -252,6 +252,7 @@ def test_every_number_of_a_message_is_judged_also_alone() -> None:
     assert code(guard, WireCommand(vertical=Vertical("depth", 27.0)), here) == "commands_too_low"
     assert code(guard, WireCommand(place_deg=place_deg((98.0, 0.0))), here) == "leads_out"
     assert code(guard, WireCommand(radius_m=0.0, speed_mps=1.0), here) == "radius"
+    assert code(guard, WireCommand(radius_m=0.5, speed_mps=1.0), here) is None
     assert code(guard, WireCommand(), here) == "unreadable"
 
 
