@@ -36,9 +36,8 @@ EARLY_P_MINE: Final = 0.05
 AHEAD_M: Final = 4.0
 """Newest track that is not looked at yet, m: the sea floor before and behind an object that confirmation looks at. With
 2 and 3 m 108 and 107 of those views are in time, as with 4 m, 108."""
-_STEP_M: Final = (
-    6.0  # minimum of new track, m: less is found no sooner, for rows come in blocks of 32 pings, and costs more
-)
+# minimum of new track, m: less is found no sooner, for rows come in blocks of 32 pings, and costs more
+_STEP_M: Final = 6.0
 _BEHIND_M: Final = 8.0  # of track before it, m: the 7.5 m that a score depends on
 _PROMISING_SCORE: Final = 0.9
 """Of the cascade, in half log-odds. On flat, mixed, ripple and rough (seeds 9400 and 9410) it leaves nine strips in

@@ -48,9 +48,8 @@ MINES: Final = EVERYTHING & ~subset("clutter")
 MAX_RELIABILITY: Final = 0.95  # upper bound on the reliability of a single statement about a class
 # What five statements of that reliability leave to ignorance; it bounds every source, so that none can veto all others.
 MIN_IGNORANCE: Final = (1.0 - MAX_RELIABILITY) ** N_CLASSES
-MIN_AGREEMENT: Final = (
-    1e-12  # below it the agreement of two sources is rounding, and dividing by it would make certainty of it
-)
+# below it the agreement of two sources is rounding, and dividing by it would make certainty of it
+MIN_AGREEMENT: Final = 1e-12
 
 DEMPSTER_BELOW: Final = 0.6  # conflict K up to which Dempster's rule combines views; chosen, not measured
 # conflict K from which nothing is combined: two opposite views of reliability 0.95 stay just below

@@ -42,9 +42,8 @@ from auv_mcm.solids.shapes import Shape
 
 SOLIDS: Final = tuple(FIELDS)
 
-_CLUTTER: Final = (
-    60.0  # nats by which a free contour explains more than every solid before refinement: no solid catches up
-)
+# nats by which a free contour explains more than every solid before refinement: no solid catches up
+_CLUTTER: Final = 60.0
 _HOPELESS: Final = 40.0  # nats behind the best solid before refinement: this one does not catch up
 _ALTITUDE_SIGMA: Final = 0.06  # of the altitude measured, relative
 _BURIAL_SIGMA: Final = 0.15  # share of radius or height: a buried solid and a smaller one look alike

@@ -25,9 +25,8 @@ from auv_mcm.model_file import SHIPPED, read_model
 from auv_mcm.records import Detector, MeasuredStep
 from auv_mcm.settings.config import Config
 
-_TEMPER: Final = (
-    0.5  # two views of 6 nats each that contradict each other have a conflict of 0.9, at which they are kept apart
-)
+# two views of 6 nats each that contradict each other have a conflict of 0.9, at which they are kept apart
+_TEMPER: Final = 0.5
 _RELIABILITY: Final = 0.999  # share of the mass that the odds commit; the rest stays unknown
 _BOUND: Final = 12.0  # nats
 _CLUTTER: Final = subset("clutter")

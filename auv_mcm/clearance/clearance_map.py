@@ -28,9 +28,8 @@ _KEY: Final = 1 << 32  # packs a cell's east and north index, 32 bits each, into
 _MAX_BOX_CELLS: Final = (
     1 << 22
 )  # of a laid-out map: 8.2 km square at cells of 4 m, about 230 MB while it is drawn and written
-_DENSE_CELLS: Final = (
-    1024  # side of the squares among which the one searched most is taken as the middle of a map too large to lay out
-)
+# side of the squares among which the one searched most is taken as the middle of a map too large to lay out
+_DENSE_CELLS: Final = 1024
 
 
 class LookModel(Protocol):

@@ -22,9 +22,8 @@ Labels = NDArray[np.uint8]
 
 _HIGHEST_M: Final = 1.2  # m: height of the highest object sought
 _REACH_MARGIN_M: Final = 1.0  # m beyond the longest shadow that a highlight may cast: its own extent and the pulse
-_ATTACHED_M: Final = (
-    1.5  # a shadow starts no further behind its highlight's near edge: depth of an object and the witness
-)
+# a shadow starts no further behind its highlight's near edge: depth of an object and the witness
+_ATTACHED_M: Final = 1.5
 _WITNESS_M: Final = 0.3  # side of the square of shadow that fully supports a highlight
 _UNSUPPORTED: Final = 2.0  # nats; support is not rewarded, or the sea floor in front of every shadow would be highlight
 _ORPHAN: Final = 0.5  # nats; weak: ripples and dips cast shadows without highlights

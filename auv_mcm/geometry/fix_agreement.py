@@ -17,9 +17,8 @@ from collections.abc import Callable
 from operator import attrgetter
 from typing import Final, Generic, NamedTuple, Protocol, TypeVar
 
-REFIX_COUNT: Final = (
-    3  # fixes that must agree before a candidate is accepted: two may be one glitch that was reported twice
-)
+# fixes that must agree before a candidate is accepted: two may be one glitch that was reported twice
+REFIX_COUNT: Final = 3
 WINDOW: Final = 30  # newest fixes that are compared
 _OUTNUMBERED: Final = 2  # a candidate with so many times the accepted track's fixes in the window takes over
 _COMPARABLE: Final = 0.25  # of the accepted track's fixes in the window: a candidate with fewer is noise

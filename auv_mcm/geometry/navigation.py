@@ -36,9 +36,8 @@ DRIFT_MPS: Final = 1.5  # error of a position per second of its age where no spe
 _REJECTED_WINDOW: Final = 40  # newest decided fixes, of which so many rejected ones raise a notice
 _REJECTED_SHARE: Final = 0.2
 _MIN_REJECTED: Final = 5
-MAX_TIME_LEAP_S: Final = (
-    60.0  # a time stamp farther ahead waits for a second one, else one bad stamp would silence the source
-)
+# a time stamp farther ahead waits for a second one, else one bad stamp would silence the source
+MAX_TIME_LEAP_S: Final = 60.0
 CHORD_M: Final = 2.0  # course and speed come from fixes this far apart, well above the rounding of coarse logs (0.1 m)
 _CHORD_PER_SCATTER: Final = 15.0  # chords are so many times the scatter of fixes, which turns a course by 5 degrees
 _CHORD_MAX_M: Final = 5.0  # but no longer: over it a vehicle turns

@@ -17,9 +17,8 @@ _N_CHORDS: Final = 25
 _MAX_OFFSET_RAD: Final = math.radians(60.0)
 # One number in every sample is no compass's: off a course by more than a current makes it, it is worth a look.
 _MAX_STILL_OFFSET_RAD: Final = math.radians(15.0)
-_MIN_RESULTANT: Final = (
-    0.9  # of the unit vectors of the differences: a circular standard deviation of 26 degrees; turns scatter more
-)
+# of the unit vectors of the differences: a circular standard deviation of 26 degrees; turns scatter more
+_MIN_RESULTANT: Final = 0.9
 
 _MIN_PINGS: Final = 100  # pings before a verdict
 _MIN_PINGS_AT_END: Final = 20  # of a short mission

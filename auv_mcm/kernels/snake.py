@@ -41,9 +41,8 @@ MAX_NODES: Final = 64  # of a polygon; equal in C, where it bounds memory
 NAMES: Final = ("highlight", "shadow")
 QUANTUM: Final = 2.0**-20
 """Intensities are whole multiples of this part of the window's mean."""
-_SPIKE: Final = (
-    1e3  # times the median: brighter than any highlight; brighter pixels would outweigh the rest of the window
-)
+# times the median: brighter than any highlight; brighter pixels would outweigh the rest of the window
+_SPIKE: Final = 1e3
 _BRIGHTEST: Final = 1e6  # times the window's mean; keeps sums over any window within 2^53 quanta
 _STEPS_PER_PX: Final = 16.0  # sixteenths of a pixel, exact in binary, so that C and numpy move alike
 _NODES_PER_PX: Final = 2.0**20  # sums of coordinates, and halves of edges, stay exact

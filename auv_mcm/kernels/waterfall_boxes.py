@@ -20,9 +20,8 @@ Flags = NDArray[np.bool_]
 Masks = NDArray[np.uint8]
 
 _ROWS_SUMMED: Final = 8  # 2 ROWS_TOGETHER of waterfall.h
-_USUAL_SHARE_OF_BRIGHT: Final = (
-    16  # one pixel in so many has room at first: large arrays that are hardly used cost page faults
-)
+# one pixel in so many has room at first: large arrays that are hardly used cost page faults
+_USUAL_SHARE_OF_BRIGHT: Final = 16
 
 
 def bright_spots(

@@ -26,9 +26,8 @@ from auv_mcm.settings.plan_settings import PlanConfig
 Place: TypeAlias = tuple[float, float]
 """Latitude and longitude, degrees."""
 
-SETTLING_RADII: Final = (
-    1.0  # straight run before and after the leg proper, in turn radii: the turn's yaw rate has died away
-)
+# straight run before and after the leg proper, in turn radii: the turn's yaw rate has died away
+SETTLING_RADII: Final = 1.0
 _MIN_STEP_M: Final = 1e-3  # way-points closer than this are one
 _DETOUR_M: Final = 1e6  # longer than any real tour
 _BLOCK: Final = 1 << 18  # pairs of legs measured at once, bounds memory

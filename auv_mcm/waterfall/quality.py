@@ -15,9 +15,8 @@ from auv_mcm.waterfall.ground import Traces, make_traces, sum_of_clipped
 from auv_mcm.waterfall.transfer import to_intensity
 
 _SATURATION_FRACTION: Final = 0.98  # of full scale, from which a sample may be clipped
-_FLAT_LOG_VARIANCE: Final = (
-    0.02  # sixty-four looks of pure speckle still have 0.016, and a real trace a range profile on top
-)
+# sixty-four looks of pure speckle still have 0.016, and a real trace a range profile on top
+_FLAT_LOG_VARIANCE: Final = 0.02
 _MANY_SATURATED: Final = 0.05  # share of a trace's samples: a few glints clip rightly
 _ABSURD_RATIO: Final = 1e10  # of a sample over its trace's median: 100 dB, more than any receiver spans
 _NEAR_M: Final = 2.0  # m of slant range left out: ring-down and first return clip rightly

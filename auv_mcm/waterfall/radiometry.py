@@ -35,9 +35,8 @@ _GAIN_HISTORY: Final = 8  # pings whose levels a step stands off from
 _MIN_LEVEL_SAMPLES: Final = 24  # samples of a ping that its level needs
 
 LOCAL_MEAN_M: Final = 7.5  # m along and across: the box of the local mean
-LOCAL_MEAN_REACH_M: Final = (
-    LOCAL_MEAN_M  # how far away a pixel still matters: half a box to the mean's edge, half around what lies there
-)
+# how far away a pixel still matters: half a box to the mean's edge, half around what lies there
+LOCAL_MEAN_REACH_M: Final = LOCAL_MEAN_M
 _MIN_VALID_FRACTION: Final = 0.25  # of the box that has to be measured
 _GLINT_LIMIT: Final = 6.0  # times the mean above which a pixel counts as that bright in the local mean
 _SLACK_NATS: Final = 1e-3  # more than a logarithm's rounding
