@@ -124,12 +124,7 @@ def confirm_detection(
             return _ended(detection, p_by_step, "not_looked_at")
         min_p_mine = 0.0
     examination = examine(
-        detection,
-        region,
-        odds,
-        min_p_mine,
-        refines_all="hopeless-solids" in without_skips,
-        ranges=sizes.ranges,
+        detection, region, odds, min_p_mine, refines_all="hopeless-solids" in without_skips, ranges=sizes.ranges
     )
     p_by_step["contours"] = examination.p_contours if verified is None else p_by_step["verifier"]
     log_ratio = evidence_of(examination, odds) if verified is None else verified

@@ -160,9 +160,7 @@ class Verification(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     def recalibrated(self, slope: float, offset_nats: float) -> Verification:
         """Weigh a detector whose log-odds, as the result's, became offset_nats + slope * log-odds."""
         return msgspec.structs.replace(
-            self,
-            offset=slope * self.offset + offset_nats * (1.0 - self.detector),
-            network=slope * self.network,
+            self, offset=slope * self.offset + offset_nats * (1.0 - self.detector), network=slope * self.network
         )
 
 

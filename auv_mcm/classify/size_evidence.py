@@ -27,15 +27,7 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
-from auv_mcm.classify.fit import (
-    USUAL_RANGES,
-    WEDGE_M,
-    ListedParameter,
-    SearchRanges,
-    ShapeFit,
-    ShapeFits,
-    ranges_with,
-)
+from auv_mcm.classify.fit import USUAL_RANGES, WEDGE_M, ListedParameter, SearchRanges, ShapeFit, ShapeFits, ranges_with
 from auv_mcm.classify.targets import (
     ExpectedCone,
     ExpectedCylinder,

@@ -42,10 +42,7 @@ def interpolate_track(track: PoseTrack, position: NDArray[np.float64]) -> PoseTr
     # Earth-centred, so that any place will do; all in one array, (n, quantities), since each operation costs more than
     # its numbers.
     known = np.column_stack(
-        [
-            geodetic_to_ecef(track.latitude_deg, track.longitude_deg, 0.0),
-            *(getattr(track, name) for name in _BLENDED),
-        ]
+        [geodetic_to_ecef(track.latitude_deg, track.longitude_deg, 0.0), *(getattr(track, name) for name in _BLENDED)]
     )
     low, high, weight = known[below], known[above], fraction[:, np.newaxis]
     values = np.where(np.isnan(low), high, np.where(np.isnan(high) | (weight == 0.0), low, low + weight * (high - low)))

@@ -207,10 +207,7 @@ class _Ran(NamedTuple):
 
 
 def _ran(
-    table: NDArray[np.float64],
-    settings: Settings,
-    schedule: NDArray[np.float64],
-    parts: list[NDArray[np.float64]],
+    table: NDArray[np.float64], settings: Settings, schedule: NDArray[np.float64], parts: list[NDArray[np.float64]]
 ) -> _Ran | None:
     """Move polygons in C; None where the twin serves."""
     room = np.zeros((2, MAX_NODES, 2))

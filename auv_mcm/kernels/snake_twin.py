@@ -295,11 +295,5 @@ def move_pair(
     sums = [NOTHING if seen is None else seen.sums for seen in pair.seen]
     nodes = [np.array(points, dtype=np.float64).reshape(-1, 2) for points in pair.points]
     return Moved(
-        nodes[HIGHLIGHT],
-        nodes[SHADOW],
-        pair.criterion,
-        pair.n_moves,
-        pair.n_proposed,
-        sums[HIGHLIGHT],
-        sums[SHADOW],
+        nodes[HIGHLIGHT], nodes[SHADOW], pair.criterion, pair.n_moves, pair.n_proposed, sums[HIGHLIGHT], sums[SHADOW]
     )

@@ -75,12 +75,7 @@ class LastingPerception:
         self._keeping = keeping
         self._checkpoints: deque[int] = deque([0, 0], 2)  # numbers of the two newest
         self._make: Callable[[], Perception] = partial(
-            Perception,
-            config,
-            make_pipeline,
-            records=records,
-            keeping=keeping,
-            ring_bytes=ring_bytes,
+            Perception, config, make_pipeline, records=records, keeping=keeping, ring_bytes=ring_bytes
         )
         self._perception = self._make()
         self._given = spool.last  # number of the newest event that was given to feed, here or before a power cut

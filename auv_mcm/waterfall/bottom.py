@@ -190,11 +190,7 @@ class BottomTracker:
         return level
 
     def _score(
-        self,
-        sides: list[Traces | None],
-        altitude_m: NDArray[np.float64],
-        max_range_m: float,
-        stated: NDArray[np.bool_],
+        self, sides: list[Traces | None], altitude_m: NDArray[np.float64], max_range_m: float, stated: NDArray[np.bool_]
     ) -> NDArray[np.float64]:
         n_bins = max(int(0.95 * max_range_m / BIN_M), 2)
         edges_m = np.arange(n_bins + 1, dtype=np.float64)[None, :] * BIN_M

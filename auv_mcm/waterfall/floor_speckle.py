@@ -91,16 +91,7 @@ def floor_speckle(blocks: Sequence[Regions]) -> FloorSpeckle:
         relative_spread, relative_skewness = _of_even(halves / np.stack([mean**2, mean**3], axis=-1)[:, None, :])
         growth, level_nats = _growth(mean, halves[:, :, 0].mean(axis=1))
     return FloorSpeckle(
-        relative_spread,
-        relative_skewness,
-        spread,
-        skewness,
-        growth,
-        level_nats,
-        span,
-        n_regions,
-        byte_sized,
-        negative,
+        relative_spread, relative_skewness, spread, skewness, growth, level_nats, span, n_regions, byte_sized, negative
     )
 
 

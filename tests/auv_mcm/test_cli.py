@@ -52,14 +52,7 @@ def test_help_says_what_the_command_does_shows_examples_and_exit_codes(
 @pytest.mark.parametrize(
     "arguments",
     [
-        *(
-            [],
-            ["nonsense"],
-            ["replay"],
-            ["config"],
-            ["config", "--write", "a", "--schema"],
-            ["bench", "everything"],
-        ),
+        *([], ["nonsense"], ["replay"], ["config"], ["config", "--write", "a", "--schema"], ["bench", "everything"]),
         ["replay", "a.xtf", "--out", "o", "--threads", "0"],
         ["replay", "a.xtf", "--out", "o", "--chunk-bytes", "many"],
         ["replay", "a.xtf", "--out", "o", "--speed", "warp"],

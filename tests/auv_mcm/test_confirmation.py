@@ -20,14 +20,7 @@ from auv_mcm.classify.verifier import mean_scores, opinions_of, shipped_network
 from auv_mcm.confirm.region import HIGHLIGHT, SHADOW, Region
 from auv_mcm.confirm.snake import RegionContext, converge_on, survey
 from auv_mcm.confirm.speckle import grain_area
-from auv_mcm.confirmation import (
-    confirm_detection,
-    examine,
-    labels_near,
-    opinions_on,
-    region_of,
-    without_confirmation,
-)
+from auv_mcm.confirmation import confirm_detection, examine, labels_near, opinions_on, region_of, without_confirmation
 from auv_mcm.records import NAN, Confirmation, Detection, Surroundings
 from auv_mcm.settings.config import ConfirmConfig
 from auv_mcm.snippet import pack_snippet

@@ -10,14 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from auv_mcm.errors import BadInputError
-from auv_mcm.safe_files import (
-    open_for_append,
-    open_regular,
-    own_directory,
-    read_regular,
-    remove_unfinished,
-    replacing,
-)
+from auv_mcm.safe_files import open_for_append, open_regular, own_directory, read_regular, remove_unfinished, replacing
 
 
 def test_a_regular_file_is_read_also_through_a_link(tmp_path: Path) -> None:

@@ -167,9 +167,7 @@ def output_finding(folder: Path) -> Finding:
     except OSError as error:
         remedy = _REMEDIES.get(error.errno or 0, "Change its owner")
         return Finding(
-            name,
-            "FAILED",
-            f"{existing} cannot be written to: {error.strerror}. {remedy}, or name another one ({key})",
+            name, "FAILED", f"{existing} cannot be written to: {error.strerror}. {remedy}, or name another one ({key})"
         )
     room = f"{folder.absolute()}, {free_bytes / 1e9:.2g} GB free"
     if free_bytes < NEEDED_BYTES:

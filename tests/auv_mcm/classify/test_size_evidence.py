@@ -73,9 +73,7 @@ def fits_of(*fits: ShapeFit) -> ShapeFits:
 
 
 views = st.lists(
-    st.tuples(st.sampled_from(SOLIDS), sizes_m, st.floats(-300.0, 50.0)),
-    max_size=4,
-    unique_by=lambda row: row[0],
+    st.tuples(st.sampled_from(SOLIDS), sizes_m, st.floats(-300.0, 50.0)), max_size=4, unique_by=lambda row: row[0]
 ).map(lambda rows: fits_of(*(fit(*row) for row in sorted(rows, key=lambda row: row[2]))))
 
 

@@ -63,13 +63,7 @@ def test_a_degree_of_latitude_is_as_long_as_the_meridian_says() -> None:
         assert abs(up) < 1e-6
 
 
-@given(
-    latitudes,
-    longitudes,
-    st.floats(-5000.0, 5000.0),
-    st.floats(-5000.0, 5000.0),
-    st.floats(-500.0, 500.0),
-)
+@given(latitudes, longitudes, st.floats(-5000.0, 5000.0), st.floats(-5000.0, 5000.0), st.floats(-500.0, 500.0))
 def test_local_round_trip(latitude: float, longitude: float, east: float, north: float, up: float) -> None:
     frame = LocalFrame(latitude_deg=latitude, longitude_deg=longitude, height_m=-30.0)
     enu = np.array([east, north, up])

@@ -10,19 +10,8 @@ import pytest
 from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 
-from auv_mcm.solids.shapes import (
-    Box,
-    ConvexPolyhedron,
-    Cylinder,
-    Shape,
-    SolidView,
-    Sphere,
-    TruncatedCone,
-    Wedge,
-)
-from tests.auv_mcm.classify.sampled_views import (
-    Array,
-)
+from auv_mcm.solids.shapes import Box, ConvexPolyhedron, Cylinder, Shape, SolidView, Sphere, TruncatedCone, Wedge
+from tests.auv_mcm.classify.sampled_views import Array
 
 RIGHT = 0.5 * math.pi
 SIZE = st.floats(0.1, 3.0)

@@ -21,12 +21,7 @@ from auv_mcm.solids.shapes import (
     flat_ground_range_m,
     view_shape,
 )
-from tests.auv_mcm.classify.sampled_views import (
-    Array,
-    height_m,
-    reach_m,
-    sampled_parallel_end_m,
-)
+from tests.auv_mcm.classify.sampled_views import Array, height_m, reach_m, sampled_parallel_end_m
 from tests.auv_mcm.solids.solid_samples import (
     AZIMUTH,
     EVERY_SOLID,

@@ -9,20 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from auv_mcm.solids.shapes import (
-    Box,
-    Shape,
-    SolidView,
-    TruncatedCone,
-    view_shape,
-)
-from tests.auv_mcm.classify.sampled_views import (
-    Array,
-    extent_m,
-    height_m,
-    reach_m,
-    sampled_view,
-)
+from auv_mcm.solids.shapes import Box, Shape, SolidView, TruncatedCone, view_shape
+from tests.auv_mcm.classify.sampled_views import Array, extent_m, height_m, reach_m, sampled_view
 from tests.auv_mcm.solids.solid_samples import EVERY_SOLID, PINGS, POSE, SOLIDS, clear_of_edges
 
 

@@ -167,12 +167,7 @@ finite = st.floats(-3.0, 3.0)
     level_nats=st.floats(0.0, 3.0),
 )
 def test_what_the_data_leave_open_is_linear_amplitude_and_no_picture_is_stretched_beyond_a_single_look(
-    spread: float,
-    relative_skewness: float,
-    spread_counts: float,
-    skewness: float,
-    growth: float,
-    level_nats: float,
+    spread: float, relative_skewness: float, spread_counts: float, skewness: float, growth: float, level_nats: float
 ) -> None:
     speckle = FloorSpeckle(
         spread, relative_skewness, spread_counts, skewness, growth, level_nats, 120.0, 100, True, negative=False
