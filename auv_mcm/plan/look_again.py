@@ -28,6 +28,7 @@ _EVERY_S: Final = 5.0  # s between two requests, minimum
 _REFRESH_S: Final = 30.0  # a plan that waits for a grant begins where the vehicle was
 LEAVES_LEG_M: Final = 5.0  # and the radius of arrival: so far before its end a leg counts as flown
 _BESIDE_M: Final = 5.0  # between a leg as planned and as flown
+_RUN_ALONG: Final = 1.0 / 3.0  # of a leg, minimum for it to count as flown: less is crossing it; chosen
 _SURVEY_S: Final = 10.0  # between updates on the search of an area, while no leg is flown
 _SURVEY_AGAIN_S: Final = 60.0  # and while a leg is flown, or none can be
 _STEP_M: Final = 5.0  # in which track is measured, so that the noise of positions does not add up
@@ -138,7 +139,7 @@ class LookAgain:
         self._looks: dict[str, _Looks] = {}  # by contact that requested another view, a few of all
         self._legs: list[_Leg] = []  # of the plan, not yet flown
         self._on_leg: _Leg | None = None
-        self._along_m = 0.0
+        self._along_m = self._began_m = 0.0  # of the leg: so far, and where the vehicle came to it
         self._commanding = False
         self._begins_here = False  # the plan was made since the payload commands
         self._changed = False
@@ -198,8 +199,10 @@ class LookAgain:
         if self._on_leg not in near:
             self._leave_leg(now_s)
             self._on_leg = next((leg for leg, place in near.items() if place.along_m < 0.5 * leg.length_m), None)
+            self._began_m = math.inf
         if self._on_leg is not None:
             self._along_m = near[self._on_leg].along_m
+            self._began_m = min(self._began_m, self._along_m)
             if self._along_m >= self._on_leg.length_m - end_m:
                 self._leave_leg(now_s)
 
@@ -240,6 +243,7 @@ class LookAgain:
                 "further legs are requested"
             )
             self._raise_once("track_spent", text)
+            self._leave_leg(now_s)
             self.plan, self._legs = (), []
             return ()
         if self._on_leg is not None and self._is_old(now_s):
@@ -298,9 +302,9 @@ class LookAgain:
         return now_s - self._planned_s > (lasts_s if self._commanding else min(lasts_s, _REFRESH_S))
 
     def _leave_leg(self, now_s: float) -> None:
-        """Leave the leg; it counts as flown if its middle, abeam of the contact, was passed."""
+        """Leave the leg; it counts as flown if its middle, abeam of the contact, was passed along it."""
         leg, self._on_leg = self._on_leg, None
-        if leg is None or self._along_m <= 0.5 * leg.length_m:
+        if leg is None or self._along_m <= max(0.5 * leg.length_m, self._began_m + _RUN_ALONG * leg.length_m):
             return
         self._legs.remove(leg)
         self._changed |= self._clears

@@ -200,23 +200,19 @@ def test_whatever_happens_a_contact_is_looked_at_so_often_and_no_more(events: li
             assert not plan
 
 
-def test_crossing_a_leg_is_not_flying_it() -> None:
+@pytest.mark.parametrize(("place", "angle_deg"), [(0.2, 90.0), (0.5, 45.0), (0.5, 60.0), (0.5, 120.0)])
+def test_crossing_a_leg_is_not_flying_it(place: float, angle_deg: float) -> None:
     mission = Mission([contact(1, 40.0, 40.0)])
     mission.be_at(0.0, 0.0)
-    ((entry, leaving),) = legs(mission.plan())
-    (east, north), (east_end, north_end) = (
-        FRAME.to_enu(p.latitude_deg, p.longitude_deg, 0.0)[:2].tolist() for p in (entry, leaving)
-    )
-    for share in np.linspace(-1.0, 1.0, 41):
-        mission.be_at(
-            0.8 * east + 0.2 * east_end - 30.0 * share * (north_end - north) / 50.0,
-            0.8 * north + 0.2 * north_end + 30.0 * share * (east_end - east) / 50.0,
-        )
+    entry, leaving = (FRAME.to_enu(p.latitude_deg, p.longitude_deg, 0.0)[:2] for p in legs(mission.plan())[0])
+    course = np.arctan2(*(leaving - entry)) + np.radians(angle_deg)
+    for way_m in np.linspace(-30.0, 30.0, 41):
+        mission.be_at(*(entry + place * (leaving - entry) + way_m * np.array([np.sin(course), np.cos(course)])))
     assert mission.plan(10.0) is None
     request = mission.look_again.request(HERE, mission.now_s, mission.now_s + 500.0)
     assert request is not None
     assert not request.left_out  # nothing was flown
-    assert request.sailed_m > 100.0
+    assert request.sailed_m > 60.0
 
 
 def test_a_leg_that_takes_longer_than_a_plan_lasts_is_requested_once_more_without_planning() -> None:
@@ -229,6 +225,17 @@ def test_a_leg_that_takes_longer_than_a_plan_lasts_is_requested_once_more_withou
     assert mission.ask() is None
     assert mission.look_again.insist(mission.now_s) == plan
     assert mission.look_again.insist(mission.now_s) is None
+
+
+def test_a_leg_under_way_when_all_track_is_sailed_counts_and_the_vehicle_may_go_on() -> None:
+    mission = Mission([contact(1, 40.0, 40.0)])
+    mission.be_at(0.0, 0.0)
+    (leg,) = legs(mission.plan())
+    mission.look_again.go_on(mission.look_again.so_far()._replace(sailed_m=CONFIG.plan.max_track_m))
+    mission.fly(*leg, upto=0.7)
+    assert mission.look_again.insist(mission.now_s) == ()
+    mission.be_at(0.0, 0.0)
+    assert mission.look_again.so_far().looks == (("C00001", 0, 1, 1),)
 
 
 def test_when_all_track_is_sailed_the_plan_is_withdrawn_which_is_reported_once() -> None:
