@@ -358,6 +358,15 @@ class Config(_Section, frozen=True, kw_only=True):
             raise ValueError(
                 "plan: area_deg lies outside vehicle.fence_deg, where no leg can be sailed: correct one of them"
             )
+        altitude_m, stand_off_m = self.vehicle.altitude_m, self.plan.stand_off_m
+        near_m = altitude_m / math.tan(math.radians(self.waterfall.max_grazing_deg))
+        if self.vehicle.command and not (
+            near_m <= stand_off_m and math.hypot(stand_off_m, altitude_m) <= self.sonar.max_range_m
+        ):
+            raise ValueError(
+                f"plan: nothing at stand_off_m ({stand_off_m:g}) is seen from vehicle.altitude_m ({altitude_m:g}): "
+                f"give {near_m:.1f} or more, with a slant range within sonar.max_range_m ({self.sonar.max_range_m:g})"
+            )
         if self.vehicle.command and self.ports and all(device_kind(port.device) != "vehicle" for port in self.ports):
             raise ValueError(
                 f"vehicle: command is true, but no port has a vehicle's device ({', '.join(VEHICLE_NAMES)}): add one"

@@ -114,6 +114,8 @@ GNSS = "{name: gnss, link: 'udp://h:1', device: nmea0183}"
             f"plan: {{area_deg: [[44, 5], [44.001, 5], [44.001, 5.001]]}}\nvehicle: {{command: true, {FENCE}}}",
             "area_deg lies outside vehicle.fence_deg, where no leg can be sailed",
         ),
+        (f"vehicle: {{command: true, altitude_m: 40, {FENCE}}}", "nothing at stand_off_m (12) is seen"),
+        (f"sonar: {{max_range_m: 10}}\nvehicle: {{command: true, {FENCE}}}", "within sonar.max_range_m (10)"),
         (
             "ports: [{name: v, link: 'udp://h:1', device: submarine}]",
             "port 'v': device 'submarine' is unknown (valid: ping_protocol, ",
