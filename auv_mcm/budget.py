@@ -125,10 +125,9 @@ def pay_looks(
 ) -> TileDetections:
     """Let the likeliest detections of a tile have an examination, as many as are paid.
 
-    Returns also what share of its coverage is earned.
-
-    p_mine: of a detection before it is examined, independent of other tiles; the others beyond those paid, of at
-    least min_p_mine, lose their surroundings, without which there is none. None is paid where windows were cut.
+    Returns also what share of its coverage is earned. p_mine: of a detection before it is examined, independent of
+    other tiles; the others beyond those paid, of at least min_p_mine, lose their surroundings, without which there is
+    none. None is paid where windows were cut.
     """
     if not allowance.is_limited:
         return result

@@ -324,9 +324,7 @@ def examine(
 def labels_near(labels: NDArray[np.uint8], region: Region) -> NDArray[np.uint8] | None:
     """Keep the connected highlight and shadow labels with most pixels close to the detection.
 
-    All else is background; None if none are.
-
-    labels: (n_rows, n_columns) uint8.
+    All else is background; None if none are. labels: (n_rows, n_columns) uint8.
     """
     n_parts, parts = cv2.connectedComponents((labels != BACKGROUND).astype(np.uint8), connectivity=8)
     window = []

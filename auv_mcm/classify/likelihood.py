@@ -13,10 +13,8 @@ from auv_mcm.kernels.order import median
 from auv_mcm.kernels.shape import MIN_MEAN, PENCIL, Array, Beam, ImageRowSums
 
 _CAP: Final = 3.0  # times the floor's mean; one echo of the floor in twenty is that strong
-_QUADRATURE: Final = (
-    0.5 * math.sqrt(1.5 / math.log(2.0)),
-    1.0 / 6.0,
-)  # Gauss-Hermite of three points: widths off, share
+# Gauss-Hermite of three points: widths off, share
+_QUADRATURE: Final = (0.5 * math.sqrt(1.5 / math.log(2.0)), 1.0 / 6.0)
 _NARROW: Final = 0.3  # rows that a beam must cover before its width counts
 
 
@@ -27,13 +25,11 @@ def image_row_sums(region: Region, correlation_area: float, *, looks: float = 1.
     negative have no part. Echoes are cut off at three times the floor: the brightness of a highlight depends little on
     the shape, and one glint would outvote a shadow. The floor is taken from the median, which is (1 - 1 / 9L)^3 of a
     Gamma distribution's mean. What makes speckle correlated smears highlights too: by the pixels that, added in squares
-    to the pixel itself, make up the correlation area.
-
-    In the image of a squinted sub-aperture a slice is a line sheared by tan(squint): a point at ground range y is drawn
-    in the row where it was closest, y tan(squint) ahead of where its slice started. Columns are shifted by whole rows
-    so that slices become rows again, the one of the region's middle column staying where it was; distances are then
-    those along and across the slices. Raises ValueError as require_sound does, and for a correlation area below 1 or
-    less than half a look.
+    to the pixel itself, make up the correlation area. In the image of a squinted sub-aperture a slice is a line sheared
+    by tan(squint): a point at ground range y is drawn in the row where it was closest, y tan(squint) ahead of where its
+    slice started. Columns are shifted by whole rows so that slices become rows again, the one of the region's middle
+    column staying where it was; distances are then those along and across the slices. Raises ValueError as
+    require_sound does, and for a correlation area below 1 or less than half a look.
     """
     require_sound(region)
     if not (1.0 <= correlation_area < math.inf and 0.5 <= looks < math.inf):

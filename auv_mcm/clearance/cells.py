@@ -61,9 +61,8 @@ def surveyed_cells(
 ) -> SurveyedCells | None:
     """Gather the covered pixels of a tile's core into cells.
 
-    Cells of which less than a hundredth was seen are left out.
-
-    None if nothing was covered. Memory grows with the number of blocks, not with the distance between them.
+    Cells of which less than a hundredth was seen are left out. None if nothing was covered. Memory grows with the
+    number of blocks, not with the distance between them.
 
     Parameters
     ----------

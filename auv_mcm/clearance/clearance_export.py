@@ -56,9 +56,8 @@ def clearance_geojson(clearance: Clearance | None) -> bytes:
 def rectangles(values: NDArray[np.int64]) -> list[tuple[int, int, int, int]]:
     """Cover every cell with a value of 0 or more once by rectangles of equal values.
 
-    A rectangle is (first row, first column, rows, columns).
-
-    Each is grown from its first cell along the row, then as many rows up as are alike over its whole width.
+    A rectangle is (first row, first column, rows, columns). Each is grown from its first cell along the row, then as
+    many rows up as are alike over its whole width.
     """
     left = values >= 0
     found = []

@@ -25,9 +25,8 @@ _SAME_LOOK_RAD: Final = math.radians(15.0)
 _SAME_PASS_S: Final = 60.0
 _ROUNDING_RAD: Final = 1e-6  # rad: look angles at the border count alike whatever the rounding
 _KEY: Final = 1 << 32  # packs a cell's east and north index, 32 bits each, into one integer
-_MAX_BOX_CELLS: Final = (
-    1 << 22
-)  # of a laid-out map: 8.2 km square at cells of 4 m, about 230 MB while it is drawn and written
+# of a laid-out map: 8.2 km square at cells of 4 m, about 230 MB while it is drawn and written
+_MAX_BOX_CELLS: Final = 1 << 22
 # side of the squares among which the one searched most is taken as the middle of a map too large to lay out
 _DENSE_CELLS: Final = 1024
 

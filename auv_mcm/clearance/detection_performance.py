@@ -97,11 +97,10 @@ class Performance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     ) -> Array:
         """Compute the probability that one view of the whole of a cell finds a mine there.
 
-        float64, arguments broadcast.
-
-        Arguments as in `SurveyedCells`. 0 where the grazing angle is beyond 70 degrees, farther than the last band, and
-        where range or altitude is not known. An unknown floor is taken for the one with the minimum there, ripples of
-        unknown direction as from the worst one. Raises ValueError for a seabed that is not in SEABED_TYPES.
+        float64, arguments broadcast. Arguments as in `SurveyedCells`. 0 where the grazing angle is beyond 70 degrees,
+        farther than the last band, and where range or altitude is not known. An unknown floor is taken for the one with
+        the minimum there, ripples of unknown direction as from the worst one. Raises ValueError for a seabed that is
+        not in SEABED_TYPES.
         """
         return self._read(self._column("p"), seabed, ground_range_m, altitude_m, look_rad, ripple_rad)
 

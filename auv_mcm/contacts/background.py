@@ -301,10 +301,8 @@ def _mine_shares(prior: BackgroundPrior) -> Array:
 def _modes(n: Array, area_km2: Array, mines_per_km2: Array, prior: BackgroundPrior) -> tuple[Array, Array, Array]:
     """Find the background's most probable values at the knots.
 
-    For each of n_modes densities of mines, (n_modes, N_BINS).
-
-    Returns values (n_modes, n_knots), their covariance (n_modes, n_knots, n_knots) and the logarithm of the evidence
-    (n_modes,), but for a constant.
+    For each of n_modes densities of mines, (n_modes, N_BINS). Returns values (n_modes, n_knots), their covariance
+    (n_modes, n_knots, n_knots) and the logarithm of the evidence (n_modes,), but for a constant.
     """
     mean, precision = np.array(prior.mean), np.linalg.inv(np.array(prior.covariance))
     mines = area_km2 * mines_per_km2

@@ -72,9 +72,7 @@ def sigma_m(contact: Contact) -> float:
 def error_ellipse(contact: Contact) -> tuple[float, float, float]:
     """Compute the 1-sigma semi-axes, m, major first, and the direction of the major axis.
 
-    The direction is in degrees clockwise from north, in [0, 180).
-
-    All are NaN where the covariance is unknown.
+    The direction is in degrees clockwise from north, in [0, 180). All are NaN where the covariance is unknown.
     """
     covariance = np.asarray(contact.covariance_m2, dtype=np.float64)
     if not np.isfinite(covariance).all():
@@ -87,9 +85,8 @@ def error_ellipse(contact: Contact) -> tuple[float, float, float]:
 def error_ellipse_ring_m(contact: Contact, sigmas: float = ELLIPSE_SIGMAS, n_points: int = 36) -> NDArray[np.float64]:
     """Draw the error ellipse around a contact.
 
-    (n_points + 1, 2) float64 east and north, m, closed and counter-clockwise.
-
-    All are NaN where the covariance is unknown.
+    (n_points + 1, 2) float64 east and north, m, closed and counter-clockwise. All are NaN where the covariance is
+    unknown.
     """
     major_m, minor_m, direction_deg = error_ellipse(contact)
     angle = np.linspace(0.0, 2.0 * np.pi, n_points + 1)

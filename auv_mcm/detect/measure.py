@@ -298,10 +298,8 @@ def _far_edge(part: NDArray[np.bool_], row: int) -> float:
 def _shadow_extent(roi: _Roi, rows: _Indices, row: int, interval: tuple[int, int], reach: int) -> _Extent:
     """Find the rows around `row` that are half as dark as the darkest of them or darker; rows: of the shadow.
 
-    Darkness is averaged over the columns next to the object.
-
-    The mean over columns shows a shadow's sides where single pixels are speckle, which runs together into dark areas of
-    any size.
+    Darkness is averaged over the columns next to the object. The mean over columns shows a shadow's sides where single
+    pixels are speckle, which runs together into dark areas of any size.
     """
     columns = slice(interval[0], max(interval[0] + 1, min(interval[1], interval[0] + reach)))
     total = np.minimum(roi.intensity[:, columns], np.float32(_DARK_CLIP)).sum(axis=1, dtype=np.float64)

@@ -23,9 +23,8 @@ WINDOW: Final = 30  # newest fixes that are compared
 _OUTNUMBERED: Final = 2  # a candidate with so many times the accepted track's fixes in the window takes over
 _COMPARABLE: Final = 0.25  # of the accepted track's fixes in the window: a candidate with fewer is noise
 _MAX_CANDIDATES: Final = 8  # the one silent for longest is dropped; scattered fixes must cost no memory
-_HOLD_FACTOR: Final = (
-    4.0 / 3.0
-)  # times span_s: undecided fixes older than this are rejected, so that the wait for them is bounded
+# times span_s: undecided fixes older than this are rejected, so that the wait for them is bounded
+_HOLD_FACTOR: Final = 4.0 / 3.0
 
 
 class Timed(Protocol):

@@ -58,9 +58,8 @@ def ecef_to_geodetic(ecef_m: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np
     for _ in range(2):
         rise = z + _SECOND_ECCENTRICITY_SQUARED * SEMI_MINOR_M * sine**3
         run = from_axis - ECCENTRICITY_SQUARED * SEMI_MAJOR_M * cosine**3
-        sine, cosine = _unit(
-            SEMI_MINOR_M * rise, SEMI_MAJOR_M * run
-        )  # of the reduced latitude: tan(reduced) = b/a tan(latitude)
+        # of the reduced latitude: tan(reduced) = b/a tan(latitude)
+        sine, cosine = _unit(SEMI_MINOR_M * rise, SEMI_MAJOR_M * run)
     latitude = np.arctan2(rise, run)
     sine, cosine = np.sin(latitude), np.cos(latitude)
     height = from_axis * cosine + z * sine - SEMI_MAJOR_M * np.sqrt(1.0 - ECCENTRICITY_SQUARED * sine * sine)

@@ -66,9 +66,8 @@ class NavBuffer:
         # Derived values stand at the middle of a chord, so they are as far apart as chords are long.
         chord_s = CHORD_MAX_S + config.max_gap_s
         chord_limits = Limits(chord_s, chord_s, chord_s)
-        self._position = TimedValues(
-            limits, width=6
-        )  # Earth-centred metres, doubt in metres, 1 where the position is disputed, how far back it lends, s
+        # Earth-centred metres, doubt in metres, 1 where the position is disputed, how far back it lends, s
+        self._position = TimedValues(limits, width=6)
         self._heading = TimedValues(limits)
         self._pitch, self._roll, self._depth, self._altitude, self._speed = (TimedValues(limits) for _ in range(5))
         self._plain = (self._pitch, self._roll, self._depth, self._altitude, self._speed)  # in the order of _FIELDS

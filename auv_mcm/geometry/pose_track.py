@@ -26,10 +26,8 @@ _BLENDED: Final = (
 def interpolate_track(track: PoseTrack, position: NDArray[np.float64]) -> PoseTrack:
     """Interpolate poses at fractional row indices `position` (n,), linear between rows.
 
-    Indices beyond the ends give the end rows.
-
-    A NaN in one of the two rows leaves the other row's value. `stale` if any row that contributes is.
-    Raises ValueError for a track without rows or an index that is not finite.
+    Indices beyond the ends give the end rows. A NaN in one of the two rows leaves the other row's value. `stale` if any
+    row that contributes is. Raises ValueError for a track without rows or an index that is not finite.
     """
     rows = np.asarray(position, dtype=np.float64)
     if len(track) == 0 or not np.isfinite(rows).all():

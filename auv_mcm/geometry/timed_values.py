@@ -55,9 +55,8 @@ class TimedValues:
         self._times = np.empty(_ROOM)
         self._values = np.empty((_ROOM, width))
         self._joined = np.empty(_ROOM, dtype=np.bool_)
-        self._new: list[
-            tuple[float, float | tuple[float, ...], bool]
-        ] = []  # values not in the arrays yet: adding them one by one costs more
+        # values not in the arrays yet: adding them one by one costs more
+        self._new: list[tuple[float, float | tuple[float, ...], bool]] = []
         self.clear()
 
     def clear(self) -> None:

@@ -137,9 +137,8 @@ class _Pair:
         self.measured: list[dict[tuple[Point, Point], EdgeSums]] = [{}, {}]
         self.n_moves = self.n_proposed = 0
         self.criterion = 0.0
-        self.settled: set[tuple[int, int]] = (
-            set()
-        )  # polygon and node that nothing has moved since no way of theirs was better
+        # polygon and node that nothing has moved since no way of theirs was better
+        self.settled: set[tuple[int, int]] = set()
         for which in (HIGHLIGHT, SHADOW):
             if self.points[which]:
                 self.face(which)

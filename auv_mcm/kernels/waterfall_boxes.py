@@ -71,10 +71,8 @@ class Levelled(NamedTuple):
 def box_level(level: Plane, usable: Flags, half: tuple[int, int], min_share: float) -> tuple[Values, Flags]:
     """Average the usable pixels within `half` rows and columns of each pixel, float64.
 
-    Gives also where the mean is known.
-
-    Of the box, clipped at the image's edge, min_share and one pixel at least must be usable, and the mean above 0.
-    level: 0 where not usable.
+    Gives also where the mean is known. Of the box, clipped at the image's edge, min_share and one pixel at least must
+    be usable, and the mean above 0. level: 0 where not usable.
     """
     n_columns = usable.shape[1]
     mean, known = np.empty(usable.shape), np.empty(usable.shape, dtype=np.bool_)

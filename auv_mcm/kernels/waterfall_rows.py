@@ -37,10 +37,8 @@ def average_rows(
 ) -> tuple[Plane, Masks]:
     """Average the pings that rows overlap, weighted by overlap.
 
-    Returns intensity float32 and mask uint8, (n_rows, n_columns) each.
-
-    A pixel is valid where valid pings overlap it by `min_overlap` together; it takes over all other flags, if it is not
-    valid all but SATURATED.
+    Returns intensity float32 and mask uint8, (n_rows, n_columns) each. A pixel is valid where valid pings overlap it by
+    `min_overlap` together; it takes over all other flags, if it is not valid all but SATURATED.
 
     Parameters
     ----------

@@ -19,11 +19,9 @@ def step_ratios(
 ) -> Values:
     """Compute how much likelier a rise of the mean is at each bin than none, (n_pings, n_bins) float64.
 
-    0 where it cannot be.
-
-    Means are over the valid values of `window` bins from the bin on, of as many before it, and of all from bin `blank`
-    on up to it. The first must rise over the second, three of which are valid, and by min_step over the third.
-    twice_variance: of single values.
+    0 where it cannot be. Means are over the valid values of `window` bins from the bin on, of as many before it, and of
+    all from bin `blank` on up to it. The first must rise over the second, three of which are valid, and by min_step
+    over the third. twice_variance: of single values.
     """
     n_pings, n_bins = values.shape
     score, total, count = np.zeros((n_pings, n_bins)), np.empty(n_bins + 1), np.empty(n_bins + 1)

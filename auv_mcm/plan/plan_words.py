@@ -54,9 +54,8 @@ def survey_words(
     words = [f"clears {share} at {course_words(heading_rad)}"]
     crests = np.isfinite(ripple_rad) & (seabed == commonest)
     if crests.any():
-        apart = np.abs(
-            np.mod(ripple_rad[crests] - heading_rad, math.pi) - math.pi / 2.0
-        )  # of the look from the crests' succession
+        # of the look from the crests' succession
+        apart = np.abs(np.mod(ripple_rad[crests] - heading_rad, math.pi) - math.pi / 2.0)
         typical = float(np.average(apart, weights=np.maximum(gain_m2[crests], 1e-9)))
         words[0] += (
             " across the crests"

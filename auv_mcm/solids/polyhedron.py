@@ -62,9 +62,8 @@ def polyhedron_slice(vertices: Array, faces: Faces, offset: Array, ground_range:
     first, second = np.triu_indices(n_crossed, 1)
     sides = crosses[first] & crosses[second] & incidence.share_face[order[first], order[second]]
     y0, z0, y1, z1 = y[first], z[first], y[second], z[second]
-    if np.any(
-        corners[:, 2] < 0.0
-    ):  # the floor cuts sides, and the new corners are farther out than what remains of the old ones
+    # the floor cuts sides, and the new corners are farther out than what remains of the old ones
+    if np.any(corners[:, 2] < 0.0):
         sides = sides & (np.maximum(z0, z1) >= 0.0)
         (y0, z0), (y1, z1) = _raised_to_floor(y0, z0, y1, z1), _raised_to_floor(y1, z1, y0, z0)
         y, z, crosses = np.concatenate((y0, y1)), np.concatenate((z0, z1)), np.concatenate((sides, sides))

@@ -64,12 +64,10 @@ def change_point_scores(
 ) -> NDArray[np.float64]:
     """Compute the log-likelihood ratio (n_pings, n_bins) float64 >= 0 that the bottom starts at each bin.
 
-    0 where it cannot start.
-
-    log_intensity: (n_pings, n_bins) float64, read where valid. Two-sample Gaussian likelihood ratio for a rise of the
-    mean from the 0.5 m before bin k to the 0.5 m from it; zero unless the 0.5 m from k also stands at least ln 2 above
-    the mean of everything between the blanked range and k, so that edges inside the sea floor do not compete with the
-    first one.
+    0 where it cannot start. log_intensity: (n_pings, n_bins) float64, read where valid. Two-sample Gaussian likelihood
+    ratio for a rise of the mean from the 0.5 m before bin k to the 0.5 m from it; zero unless the 0.5 m from k also
+    stands at least ln 2 above the mean of everything between the blanked range and k, so that edges inside the sea
+    floor do not compete with the first one.
     """
     window = max(2, round(_WINDOW_M / BIN_M))
     return step_ratios(log_intensity, valid, blank_bins, window, _MIN_STEP, 2.0 * _LOG_VARIANCE)
@@ -199,9 +197,8 @@ class BottomTracker:
             if traces is None or stated.all():
                 continue
             means = mean_between(traces, edges_m)
-            independent = min(
-                1.0, BIN_M / traces.spacing_m
-            )  # share of bins that do not repeat their neighbour's sample
+            # share of bins that do not repeat their neighbour's sample
+            independent = min(1.0, BIN_M / traces.spacing_m)
             log_intensity = np.log(_not_below_floor(means.intensity))
             ratios = change_point_scores(log_intensity, means.valid, self._blank_bins)
             # Every side of every ping has the same weight: a loud fish, on one side, must not outvote the other and its

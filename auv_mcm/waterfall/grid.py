@@ -246,10 +246,8 @@ def _place_between(
 ) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
     """Find the ping before each wanted distance, and the fraction of the way to the next.
 
-    Distances beyond the ends give the ends.
-
-    Fractions are multiples of 2^-30, so that index plus fraction is exact and does not depend on how many pings went
-    before.
+    Distances beyond the ends give the ends. Fractions are multiples of 2^-30, so that index plus fraction is exact and
+    does not depend on how many pings went before.
     """
     if along_m.shape[0] == 1:
         return np.zeros(wanted_m.shape, dtype=np.intp), np.zeros(wanted_m.shape)

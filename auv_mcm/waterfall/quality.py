@@ -20,11 +20,8 @@ _FLAT_LOG_VARIANCE: Final = 0.02
 _MANY_SATURATED: Final = 0.05  # share of a trace's samples: a few glints clip rightly
 _ABSURD_RATIO: Final = 1e10  # of a sample over its trace's median: 100 dB, more than any receiver spans
 _NEAR_M: Final = 2.0  # m of slant range left out: ring-down and first return clip rightly
-_SOME, _FEW, _SPARSE = (
-    128,
-    8,
-    8,
-)  # samples that give a trace's level, that distinguish two traces; one in how many shows that a trace varies
+# samples that give a trace's level, that distinguish two traces; one in how many shows that a trace varies
+_SOME, _FEW, _SPARSE = 128, 8, 8
 _MIN_OF_HIGHEST: Final = np.float32(1e-6)
 
 

@@ -53,10 +53,8 @@ class TileCutter:
     def newest(self, from_row: int, min_rows: int, n_behind: int, n_ahead: int) -> list[Tile]:
         """Give the rows from `from_row` on, or from the first that is held, as tiles that belong to no partition.
 
-        It leaves all as it is.
-
-        The newest `n_ahead` rows and up to `n_behind` rows before are overlap. Empty where the core would have fewer
-        than `min_rows` rows.
+        It leaves all as it is. The newest `n_ahead` rows and up to `n_behind` rows before are overlap. Empty where the
+        core would have fewer than `min_rows` rows.
         """
         core_start, core_stop = max(from_row, self._first_row), self._stop_row - n_ahead
         if core_stop - core_start < max(min_rows, 1):

@@ -21,10 +21,8 @@ def spaced_apart(
 ) -> NDArray[np.intp]:
     """Select up to `max_kept` windows of (n,), best first, none within the half extents of a better one.
 
-    Returns their indices.
-
-    Of equal scores the first is better. A larger maximum never loses a window: it stays, or a better one within reach
-    takes its place.
+    Returns their indices. Of equal scores the first is better. A larger maximum never loses a window: it stays, or a
+    better one within reach takes its place.
     """
     if not rows.size:
         return np.empty(0, dtype=np.intp)

@@ -138,9 +138,8 @@ def clock_finding(utc_s: float, discipline: Discipline | None, package: Path, un
 
 def clock_discipline() -> Discipline | None:
     """Query the kernel whether the clock is synchronised; None where it does not state it. Changes nothing."""
-    timex = (
-        ctypes.c_long * 64
-    )()  # struct timex: modes, offset, freq, maxerror (us), esterror, status, ...; modes 0 reads
+    # struct timex: modes, offset, freq, maxerror (us), esterror, status, ...; modes 0 reads
+    timex = (ctypes.c_long * 64)()
     try:
         state = ctypes.CDLL(None).adjtimex(ctypes.byref(timex))
     except (AttributeError, OSError):
