@@ -334,7 +334,7 @@ class Pipeline:
                     tiles = self._waterfall.add(self._intake.place_along_track(item))
                 events += self._look(tiles)
                 events += self._look_early(self._waterfall)
-        return events
+        return [*events, *self._waterfall.take_notices()]
 
     def _look_early(self, waterfall: Waterfall) -> list[PipelineEvent]:
         """Look at rows whose tile is not complete. What fails here is announced when the tile is complete."""
@@ -398,8 +398,9 @@ class Pipeline:
         with self._timed("seabed"):
             seabed = None if grid is None else self._seabed_of(tile)
         with self._timed("coverage"):
-            coarse_rows = self._sampling.coarse_rows(tile)
-            return cover_tile(tile, self._config.sonar, evaluated, grid, seabed, coarse_rows)
+            assert self._waterfall is not None
+            blind_rows = self._sampling.coarse_rows(tile) | self._waterfall.unheard_rows(tile)
+            return cover_tile(tile, self._config.sonar, evaluated, grid, seabed, blind_rows)
 
     def _failed(self, defect: Defect, what: str, tile: Tile) -> list[PipelineEvent]:
         """Count a piece that could not be processed; the first one of each kind of work is reported."""

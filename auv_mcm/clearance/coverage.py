@@ -34,14 +34,14 @@ def cover_tile(
     evaluated_fraction: float = 1.0,
     grid: CoverageGrid | None = None,
     seabed: SeabedCells | None = None,
-    coarse_rows: NDArray[np.bool_] | None = None,
+    blind_rows: NDArray[np.bool_] | None = None,
 ) -> CoveragePatch:
     """Compute the coverage of a tile's core.
 
-    A pixel covers if it is valid, neither of low resolution nor of a ping whose samples are too far apart, not in a
-    turn, its row's navigation is fresh, it is not saturated, since among clipped echoes no highlight stands out, and it
-    does not lie in the large shadow of something high. Of the area so covered only the evaluated fraction counts, since
-    the detector's budget did not allow for the rest.
+    A pixel covers if it is valid, neither of low resolution nor of a ping that cannot show a mine, not in a turn, its
+    row's navigation is fresh, it is not saturated, since among clipped echoes no highlight stands out, and it does not
+    lie in the large shadow of something high. Of the area so covered only the evaluated fraction counts, since the
+    detector's budget did not allow for the rest.
 
     The outlines follow the near and far end of the covered range in strips of five metres along track; they end where
     rows that cover less than a fifth of the range lie for more than half a metre.
@@ -52,10 +52,10 @@ def cover_tile(
         The cells to lay the same area out in.
     seabed
         What kind of sea floor it is.
-    coarse_rows
-        Rows of pings whose samples are too far apart for a mine to be seen, (n_rows,); None for none.
+    blind_rows
+        Rows of pings that cannot show a mine: samples too far apart, or no sea floor heard, (n_rows,); None for none.
     """
-    covered, lost = _sorted_out(tile, coarse_rows)
+    covered, lost = _sorted_out(tile, blind_rows)
     pixel_m2 = tile.row_spacing_m * tile.column_spacing_m
     seen_m2 = float(np.count_nonzero(covered)) * pixel_m2
     return CoveragePatch(
@@ -78,14 +78,14 @@ def cover_tile(
 
 
 def _sorted_out(
-    tile: Tile, coarse_rows: NDArray[np.bool_] | None
+    tile: Tile, blind_rows: NDArray[np.bool_] | None
 ) -> tuple[NDArray[np.bool_], dict[str, NDArray[np.bool_]]]:
     """Find the pixels of a core that cover, and those that do not by the first reason that they are lost for."""
     core = slice(tile.core_start, tile.core_stop)
     mask = tile.mask[core]
     coarse = (mask & LOW_RESOLUTION) != 0
-    if coarse_rows is not None:
-        coarse |= coarse_rows[core, None]
+    if blind_rows is not None:
+        coarse |= blind_rows[core, None]
     reasons = {
         "invalid": (mask & VALID) == 0,
         "low_resolution": coarse,

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from auv_mcm.intake import PingBlock
 from auv_mcm.kernels.waterfall_rows import Turning, ping_masks, scale_rows
-from auv_mcm.records import SIDES, Ping, Side, Tile, Transfer
+from auv_mcm.records import SIDES, Notice, Ping, Side, Tile, Transfer
 from auv_mcm.settings.config import Config
 from auv_mcm.waterfall.bottom import BottomTrack, BottomTracker
+from auv_mcm.waterfall.floor_watch import NEAR_M, REACH_M, REACH_SHARE, FloorWatch
 from auv_mcm.waterfall.grid import LEVEL_COLUMNS, AlongTrackGrid, SideImage, Swath
 from auv_mcm.waterfall.ground import Traces, mean_between
 from auv_mcm.waterfall.pixel_geometry import PixelGeometry, pixel_geometry, runs
@@ -23,6 +24,8 @@ from auv_mcm.waterfall.tiles import TileCutter
 
 _MIN_SPEED_MPS: Final = 0.2  # m/s: keeps the turn per metre finite when the vehicle stands
 _WATER_FRACTION: Final = 0.9  # of the first return, up to which samples are water for certain
+_LEVEL_BIN_M: Final = 0.05  # m of slant range: echoes are averaged so far for levels of water and floor
+_N_NEAR_BINS: Final = 40  # of that size, spread over the first metres of sea floor
 _TURN_SIGN: Final[dict[Side, float]] = {"port": 1.0, "starboard": -1.0}
 
 
@@ -52,6 +55,17 @@ class Waterfall:
         self._grid = AlongTrackGrid(config.waterfall.row_spacing_m, config.waterfall.max_ping_gap_m)
         self._cutter = TileCutter(config.waterfall, overlap_m)
         self._held: _HeldBlock | None = None
+        self._floors = {side: FloorWatch(side, counters) for side in SIDES}
+        self._notices: list[Notice] = []
+
+    def take_notices(self) -> list[Notice]:
+        """Take the notices raised since the last call."""
+        notices, self._notices = self._notices, []
+        return notices
+
+    def unheard_rows(self, tile: Tile) -> NDArray[np.bool_]:
+        """Select the rows of a tile whose pings show no sea floor, (n_rows,)."""
+        return self._floors[tile.side].unheard_rows(tile)
 
     def read_as(self, transfer: Transfer) -> None:
         """Read samples as `transfer` states from the next segment on, and drop what was learnt before."""
@@ -150,7 +164,10 @@ class Waterfall:
         log_intensity = _logarithms(ground.intensity, positive)
         learnable = positive & ~ground.saturated
         seabed_level = ping_levels(log_intensity, learnable)
-        gain, n_steps = self._gains[side].corrections(seabed_level, self._water_level(traces, first_return_m))
+        water_level = self._water_level(traces, first_return_m)
+        rise = _near_level(traces, first_return_m) - water_level
+        self._notices += self._floors[side].add(rise, block.poses.time_s)
+        gain, n_steps = self._gains[side].corrections(seabed_level, water_level)
         self._counters[f"radiometry.{side}_gain_step"] += n_steps
         if gain.any():
             log_intensity -= gain[:, None]
@@ -187,12 +204,22 @@ class Waterfall:
 
         NaN where it is too short.
         """
-        spacing_m = 0.05
-        n_bins = int(np.max(first_return_m) * _WATER_FRACTION / spacing_m)
-        edges = self._config.sonar.blank_m + np.arange(max(n_bins, 1) + 1, dtype=np.float64) * spacing_m
+        n_bins = int(np.max(first_return_m) * _WATER_FRACTION / _LEVEL_BIN_M)
+        edges = self._config.sonar.blank_m + np.arange(max(n_bins, 1) + 1, dtype=np.float64) * _LEVEL_BIN_M
         means = mean_between(traces, edges[None, :])
         usable = means.valid & (means.intensity > 0.0) & (edges[None, 1:] < _WATER_FRACTION * first_return_m[:, None])
         return ping_levels(_logarithms(means.intensity, usable), usable)
+
+
+def _near_level(traces: Traces, first_return_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Take the median ln I of the first metres of sea floor per ping, (n_pings,); NaN where too little is there."""
+    reach_m = np.maximum(REACH_M, REACH_SHARE * first_return_m)
+    starts_m = (first_return_m + NEAR_M)[:, np.newaxis] + reach_m[:, np.newaxis] * np.linspace(0.0, 1.0, _N_NEAR_BINS)
+    edges_m = np.stack([starts_m, starts_m + _LEVEL_BIN_M], axis=-1).reshape(len(starts_m), -1)
+    means = mean_between(traces, edges_m)  # with what lies between the bins
+    usable = means.valid & (means.intensity > 0.0)
+    usable[:, 1::2] = False
+    return ping_levels(_logarithms(means.intensity, usable), usable)
 
 
 def _logarithms(values: NDArray[np.float64], usable: NDArray[np.bool_]) -> NDArray[np.float64]:

@@ -218,6 +218,21 @@ def test_one_channel_only_is_enough() -> None:
     assert finds_the_target(run(changed(lambda _, ping: msgspec.structs.replace(ping, port=None)))[0])
 
 
+@pytest.mark.parametrize("level", [3.0, 300.0])
+def test_a_side_that_hears_noise_alone_earns_no_coverage_and_the_other_does(level: float) -> None:
+    def noisy(number: int, ping: Ping) -> Ping:
+        noise = resampled(ping, lambda s: np.random.default_rng(number).rayleigh(level, s.shape).astype(np.float32))
+        return msgspec.structs.replace(ping, port=noise.port)
+
+    pipeline, events = run(changed(noisy))
+    patches = [event for event in events if isinstance(event, CoveragePatch)]
+    assert covered_m2([patch for patch in patches if patch.side == "port"]) == 0.0
+    assert covered_m2(list(patches)) == covered_m2(
+        [e for e in undisturbed()[1] if isinstance(e, CoveragePatch) and e.side == "starboard"]
+    )
+    assert pipeline.counters["quality.port_floor_not_heard"] == pipeline.counters["ping.received"]
+
+
 @pytest.mark.parametrize("n_pings", [0, 1, 2, 63, 64, 65])
 def test_a_mission_of_few_pings_ends_properly(n_pings: int) -> None:
     pings = [event for event in mission() if isinstance(event, Ping)][:n_pings]

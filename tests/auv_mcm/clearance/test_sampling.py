@@ -55,7 +55,7 @@ def test_two_samples_over_30_m_earn_no_coverage() -> None:
     (notice,) = sampling.add(ping(0.0, 15.0, 15.0))
     assert "15.00 m" in notice.text
     fine = cover_tile(tile, SonarConfig())
-    coarse = cover_tile(tile, SonarConfig(), coarse_rows=sampling.coarse_rows(tile))
+    coarse = cover_tile(tile, SonarConfig(), blind_rows=sampling.coarse_rows(tile))
     assert fine.covered_m2 > 0.0
     assert coarse.covered_m2 == 0.0
     assert coarse.rings_deg == ()
@@ -67,4 +67,4 @@ def test_samples_of_a_usual_sonar_change_nothing() -> None:
     assert sampling.add(ping(0.0, 0.2, 0.47)) == []
     assert Sampling().add(ping(0.0, 0.2, 0.49)) != []
     fine = cover_tile(tile, SonarConfig())
-    assert cover_tile(tile, SonarConfig(), coarse_rows=sampling.coarse_rows(tile)).covered_m2 == fine.covered_m2
+    assert cover_tile(tile, SonarConfig(), blind_rows=sampling.coarse_rows(tile)).covered_m2 == fine.covered_m2
