@@ -307,9 +307,8 @@ def run_command(arguments: Sequence[str]) -> None:
                 main([*arguments, "--help"])
             assert helped.value.code == 0
     else:
-        assert code == 0 or arguments in (["run"], ["hil"], ["simulate"], ["view"]), (
-            arguments
-        )  # mere names: these ask for what to run
+        # mere names: these ask for what to run
+        assert code == 0 or arguments in (["run"], ["hil"], ["simulate"], ["view"]), arguments
 
 
 def run_module(name: str, arguments: Sequence[str], monkeypatch: pytest.MonkeyPatch) -> None:

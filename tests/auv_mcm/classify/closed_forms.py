@@ -43,9 +43,8 @@ def closed_form_region(
     bearing = off * beam_width_rad * math.hypot(ground_range_m, altitude_m)
     seen_from_m = (np.arange(_N_ROWS) + 0.5) * row_spacing_m
     edges = first_m + _COLUMN_M * np.arange(n_columns + 1)
-    ahead_m = (
-        0.5 * (edges[1:] + edges[:-1]) * math.tan(squint_rad)
-    )  # of where the slice that a column shows left the track
+    # of where the slice that a column shows left the track
+    ahead_m = 0.5 * (edges[1:] + edges[:-1]) * math.tan(squint_rad)
     offset = (seen_from_m[:, np.newaxis] - ahead_m - along_track_m)[:, :, np.newaxis] + bearing
     view = view_shape(shape, offset, ground_range_m, altitude_m, squint_rad=squint_rad)
     front, tangent = (

@@ -259,9 +259,8 @@ def test_highlight_stays_before_the_shadow_and_beside_it() -> None:
     drawn = drawn_pair(1)
     table = snake.window_row_sums(drawn.region.intensity, drawn.region.valid).table
     known = snake_settings(drawn.region, table, 1.0)
-    moved = snake.move_pair(
-        table, known, np.array(COARSE + FINE), box(56, 30, 70, 50), box(56, 40, 70, 60)
-    )  # overlapping at first
+    # overlapping at first
+    moved = snake.move_pair(table, known, np.array(COARSE + FINE), box(56, 30, 70, 50), box(56, 40, 70, 60))
     assert moved.shadow_sums.overlap == 0.0
     assert moved.criterion < 0.0
     gap_m = moved.shadow_sums.gap / moved.shadow_sums.shared * known.column_spacing_m

@@ -227,9 +227,8 @@ def test_without_depth_the_vehicle_is_at_the_surface_and_without_speed_it_stands
     known = one_echo("port", 20.0, 5.0, depth_m=0.0, speed_mps=0.0)
     unknown = one_echo("port", 20.0, 5.0, depth_m=NAN, speed_mps=NAN)
     np.testing.assert_array_equal(locate(unknown, SonarConfig()), locate(known, SonarConfig()))
-    assert locate(known, SonarConfig())[2][0] == pytest.approx(
-        -5.0, abs=1e-4
-    )  # the Earth curves away by 30 micrometres in 20 m
+    # the Earth curves away by 30 micrometres in 20 m
+    assert locate(known, SonarConfig())[2][0] == pytest.approx(-5.0, abs=1e-4)
 
 
 def test_a_range_inside_the_water_column_is_the_point_below() -> None:

@@ -228,9 +228,8 @@ def test_a_compass_that_fails_is_replaced_by_the_course_and_counted() -> None:
     samples += [without(here(20.0 + 0.2 * i, east=30.0 + 0.3 * i), "heading_rad") for i in range(100)]
     buffer = filled(samples)
     track = at(buffer, 10.0, 19.9, 30.0)
-    np.testing.assert_allclose(
-        np.rad2deg(track.heading_rad), [95.0, 95.0, 90.0], atol=1e-3
-    )  # meridians converge a little
+    # meridians converge a little
+    np.testing.assert_allclose(np.rad2deg(track.heading_rad), [95.0, 95.0, 90.0], atol=1e-3)
     assert not track.stale.any()
     assert buffer.counters["navigation.heading_from_course"] == 1
 

@@ -15,9 +15,8 @@ from auv_mcm.plan.dubins import Array, DubinsPath, PlanePose, Turn, dubins_lengt
 SIGN = {"left": -1.0, "straight": 0.0, "right": 1.0}
 ANGLE = st.floats(-10.0, 10.0)
 PLACE = st.floats(-500.0, 500.0)
-NEAR = st.integers(-4000, 4000).map(
-    lambda thousandth: thousandth / 1000.0
-)  # the search is no judge of displacements near rounding
+# the search is no judge of displacements near rounding
+NEAR = st.integers(-4000, 4000).map(lambda thousandth: thousandth / 1000.0)
 COARSE_ANGLE = st.integers(-3142, 3142).map(lambda thousandth: thousandth / 1000.0)
 RIGHT_ANGLES = st.integers(-4, 4).map(lambda quarter: quarter * math.pi / 2.0)
 

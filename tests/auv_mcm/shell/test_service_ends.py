@@ -156,9 +156,8 @@ def test_killing_all_processes_at_once_leaves_no_shared_memory_and_no_other_file
         read_until(process, "C0027")
         assert len(group(process.pid)) >= 2, "perception is a process of its own"
         shared = shared_memory(process.pid)
-        os.killpg(
-            process.pid, signal.SIGKILL
-        )  # as a supervisor that kills a control group does, and a shortage of memory
+        # as a supervisor that kills a control group does, and a shortage of memory
+        os.killpg(process.pid, signal.SIGKILL)
         output, _ = process.communicate(timeout=60)
     assert [path for path in shared if path.exists()] == []
     assert {path.name for path in (tmp_path / "latest").iterdir()} <= {

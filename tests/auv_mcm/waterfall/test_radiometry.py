@@ -310,9 +310,8 @@ def test_a_bright_patch_is_no_reference_for_itself() -> None:
         for first, last in ((300, 450), (800, 880))
     )
     rise = float(np.nanmedian(level[bright]) - np.nanmedian(level[dark]))
-    assert (
-        0.5 * math.log(4.0) < rise < math.log(4.0)
-    )  # less what the patch, two fifths of the mission, has added to its mean
+    # less what the patch, two fifths of the mission, has added to its mean
+    assert 0.5 * math.log(4.0) < rise < math.log(4.0)
     assert intensity[bright][valid[bright]].mean() == pytest.approx(intensity[dark][valid[dark]].mean(), rel=0.1)
 
 

@@ -57,9 +57,8 @@ def test_logarithms_are_recognised_and_scaled_by_the_spread_of_the_floor(
     assert law.is_sure
     assert law.transfer.kind == "log"
     read = law.transfer.db_per_count / db_per_count
-    assert (
-        0.85 < read < 1.15 if looks == 1 else 0.6 < read < (1.6 if looks < 8 else 2.0)
-    )  # looks, texture and smoothing look alike
+    # looks, texture and smoothing look alike
+    assert 0.85 < read < 1.15 if looks == 1 else 0.6 < read < (1.6 if looks < 8 else 2.0)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.6])
