@@ -265,7 +265,12 @@ class Intake:
         poses = slice_pose(poses, slice(n_pings))
         unknown = ~(np.isfinite(poses.speed_mps) & (poses.speed_mps >= 0.0))
         self._counters["navigation.speed_unknown"] += int(np.count_nonzero(unknown))
-        poses = structs.replace(poses, speed_mps=np.where(unknown, _UNKNOWN_SPEED_MPS, poses.speed_mps))
+        stated_m = np.array([ping.altitude_m for ping in pings])  # by a sonar that has an altimeter of its own
+        poses = structs.replace(
+            poses,
+            speed_mps=np.where(unknown, _UNKNOWN_SPEED_MPS, poses.speed_mps),
+            altitude_m=np.where(np.isfinite(poses.altitude_m), poses.altitude_m, stated_m),
+        )
         self._navigation.forget_before(float(times[-1]) - 2.0 * _RATE_HALF_SPAN_S)
         self._compare_altitude(pings, poses)
         self._counters["navigation.ping_stale"] += int(np.count_nonzero(poses.stale))
@@ -281,7 +286,7 @@ class Intake:
         """Compare altitudes of a block with the range of its pings, which have one layout."""
         if self._beyond_range is not None:
             return
-        altitude_m = np.where(np.isfinite(poses.altitude_m), poses.altitude_m, [ping.altitude_m for ping in pings])
+        altitude_m = poses.altitude_m
         range_m = max(
             trace.first_range_m + trace.spacing_m * trace.samples.shape[0]
             for trace in (pings[0].port, pings[0].starboard)

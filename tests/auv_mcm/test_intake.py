@@ -136,6 +136,14 @@ def test_any_interleaving_gives_the_same_blocks(order: list[bool]) -> None:
     assert_same_blocks(Fed().feed([*events, *pings, *fixes]).flush(), Fed().feed(mission(100)).flush())
 
 
+@pytest.mark.parametrize("measured_m", [math.nan, 8.0])
+def test_where_navigation_has_no_altitude_that_of_the_sonar_serves(measured_m: float) -> None:
+    events = [structs.replace(e, altitude_m=7.0 if isinstance(e, Ping) else measured_m) for e in mission(70)]
+    expected_m = 7.0 if math.isnan(measured_m) else measured_m
+    for block in Fed().feed(events).flush().blocks:
+        assert set(block.poses.altitude_m.tolist()) == {expected_m}
+
+
 def test_without_navigation_pings_wait_a_bounded_time() -> None:
     fed = Fed()
     most = 0
