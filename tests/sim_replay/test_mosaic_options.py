@@ -46,6 +46,18 @@ def test_utm_is_the_zone_of_the_place_and_any_code_in_metres_will_do() -> None:
             check_crs(wrong)
 
 
+@pytest.mark.parametrize("code", ["EPSG:2053", "EPSG:5513", "EPSG:5555", "EPSG:102100", "EPSG:32700"])
+def test_a_map_that_would_be_mirrored_or_that_no_geotiff_can_name_is_refused(code: str) -> None:
+    with pytest.raises(UsageError, match=r"Name (another|one)"):
+        check_crs(code)
+
+
+def test_a_mission_that_the_reference_system_cannot_map_is_refused() -> None:
+    assert check_crs("EPSG:3377") == "EPSG:3377", "Johor, Malaysia"
+    with pytest.raises(UsageError, match=r"48\.4000, -68\.8000 degrees, is outside .* give utm"):
+        projection("EPSG:3377", -68.8, 48.4)
+
+
 @pytest.mark.parametrize("palette", ["", *PALETTES])
 def test_gdal_opens_it_projected_and_without_empty_margins(palette: str, tmp_path: Path) -> None:
     rasterio = pytest.importorskip("rasterio", reason="rasterio, which brings GDAL, is not installed")
