@@ -15,14 +15,22 @@ from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Tile
 from auv_mcm.safe_files import read_regular
 from auv_mcm.settings.config import Config
-from auv_mcm.shell.recovery import SUMMARY
+from auv_mcm.shell.recovery import EARLY_JOURNAL, JOURNAL, SUMMARY
 from auv_mcm.waterfall.radiometry import REFERENCE_PINGS
+from sim_replay.logs.bottom_lines import bottom_line_path
+from sim_replay.logs.image_sidecar import sidecar_path
 from sim_replay.logs.open_log import logs_config
 from sim_replay.logs.recorded import open_mission
 from sim_replay.logs.session_parts import recordings_of, session_of
+from sim_replay.report.report_file import REPORT_CONTENTS
 from sim_replay.results_folder import resolved_log
+from sim_replay.verdicts import VERDICTS_FILE
 
 CONTACTS: Final = "contacts.geojson"
+_KEPT: Final = {
+    *(CONTACTS, "track.geojson", "coverage.geojson", "clearance.geojson", "waypoints.geojson", SUMMARY),
+    *(REPORT_CONTENTS, VERDICTS_FILE, JOURNAL, EARLY_JOURNAL),
+}
 
 
 class ExportSource(NamedTuple):
@@ -34,6 +42,16 @@ class ExportSource(NamedTuple):
     logs: tuple[Path, ...]
     config: Config
     results: Path | None
+
+    def keeps(self, path: Path) -> bool:
+        """Check whether a path is a log or what belongs to it, or a file of the results that exports are made of."""
+        place = path.resolve()
+        if place in (file.resolve() for log in self.logs for file in (sidecar_path(log), bottom_line_path(log))):
+            return True
+        recordings = [part.resolve() for log in self.logs for part in (log, *recordings_of(log))]
+        if place in recordings or any(part.is_dir() and part in place.parents for part in recordings[1:]):
+            return True
+        return self.results is not None and place.parent == self.results.resolve() and place.name in _KEPT
 
 
 def find_source(paths: Sequence[Path], config: Config | None) -> ExportSource:

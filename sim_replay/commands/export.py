@@ -175,6 +175,7 @@ def _run(arguments: argparse.Namespace) -> int:
     if missing is not None:
         raise UsageError(f"there is no {missing}. Name a folder of results, the folder of a session, or logs.")
     source = find_source(arguments.source, None if arguments.config is None else read_config(arguments.config))
+    _check_apart([path for path in (*wanted, arguments.qgis) if path is not None and path not in chips], source)
     name = source.config.mission or (source.results or source.logs[0]).resolve().stem
     if any(path is not None for path in vectors):
         _write_vectors(source, arguments, name)
@@ -196,6 +197,16 @@ def _check_target(path: Path, *, is_folder: bool = False) -> None:
         raise UsageError(f"{path} cannot be written: there is no folder {path.parent}. Make it first.")
     if path.exists() and not path.is_file() and not is_folder:
         raise UsageError(f"{path} cannot be written: it is a folder or a device. Name a file.")
+
+
+def _check_apart(targets: list[Path], source: ExportSource) -> None:
+    """Check that no file is written twice, and none that the export is made of. Raises UsageError."""
+    places = [path.resolve() for path in targets]
+    for number, (path, place) in enumerate(zip(targets, places, strict=True)):
+        if source.keeps(path):
+            raise UsageError(f"{path} is what this export is made of, and is never overwritten. Name another file.")
+        if place in places[:number]:
+            raise UsageError(f"{path} would be written twice, for two options. Name a file for each.")
 
 
 def _write_vectors(source: ExportSource, arguments: argparse.Namespace, name: str) -> None:
@@ -261,6 +272,7 @@ def _write_mosaic(source: ExportSource, arguments: argparse.Namespace, name: str
             path = arguments.geotiff
             if arguments.per_leg:
                 path = path.with_name(f"{path.stem}-{number}{path.suffix}")
+            _check_apart([path], source)
             write_geotiff(path, levels, arguments.max_sigma, arguments.palette)
             written.append(path)
     if arguments.qgis is not None:

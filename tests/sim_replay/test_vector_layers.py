@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import sqlite3
 from collections.abc import Mapping
 from pathlib import Path
@@ -65,6 +66,30 @@ def test_gdal_reads_every_layer_of_the_geopackage(results: Path, tmp_path: Path)
     assert types["views"] == "object"
     assert types["time"].startswith("datetime64")
     assert tuple(layers["contacts"]["total_bounds"]) == (12.0, 55.0, 12.0, 55.0)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ["--geojson", "contacts.geojson"],
+        ["--gpx", "verdicts.jsonl"],
+        ["--kml", "../log.xtf"],
+        ["--kml", "../log.yaml"],
+        ["--gpkg", "m", "--gpx", "m"],
+        ["--qgis", "m.tif"],
+    ],
+)
+def test_no_export_overwrites_a_log_its_results_or_another_export(
+    results: Path, tmp_path: Path, options: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = Path(shutil.copytree(results, tmp_path / "results"))
+    (tmp_path / "log.xtf").write_bytes(b"the only copy")
+    (folder / "summary.json").write_text(json.dumps({"logs": [{"path": str(tmp_path / "log.xtf")}]}))
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    named = [word if word.startswith("--") else str(folder / word) for word in options]
+    assert main(["export", str(folder), *named]) == 2
+    assert "another file" in (said := capsys.readouterr().err) or "file for each" in said
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
 
 
 def test_gdal_reads_the_gpx_and_the_kml(results: Path, tmp_path: Path) -> None:
