@@ -15,11 +15,10 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import cv2
 import numpy as np
 
-from auv_mcm.classify.beliefs import MINE_LIKE_P
 from auv_mcm.contacts.contact_picture import coloured_levels, display_levels, encoded
 from auv_mcm.records import VALID, Side, Tile
 from sim_replay.mosaic_files import replaced_file
-from sim_replay.verdict_layers import MISSED, verdict_words
+from sim_replay.verdict_layers import MISSED, is_likely, verdict_words
 
 if TYPE_CHECKING:
     from google.protobuf.timestamp_pb2 import Timestamp
@@ -160,8 +159,7 @@ def _views(contacts: Iterable[Feature]) -> list[_View]:
             if view["time"] is not None and view["ground_range_m"] is not None:
                 time_s = datetime.fromisoformat(view["time"]).timestamp()
                 text = " ".join(filter(None, (f"{properties['id']} {p_mine:.2f}", verdict_words(properties))))
-                mine_like = p_mine >= MINE_LIKE_P or properties.get("verdict") == "mine_like"
-                views.append(_View(view["side"], time_s, view["ground_range_m"], text, mine_like))
+                views.append(_View(view["side"], time_s, view["ground_range_m"], text, is_likely(contact)))
     return views
 
 

@@ -8,13 +8,12 @@ from html import escape
 from pathlib import Path
 from typing import Any, Final
 
-from auv_mcm.classify.beliefs import MINE_LIKE_P
 from auv_mcm.clean_text import clean
 from auv_mcm.errors import BadInputError
 from auv_mcm.safe_files import read_regular
 from auv_mcm.shell.whole_files import write_file
 from sim_replay.structures import STRUCTURES, with_structures
-from sim_replay.verdict_layers import MISSED, verdict_words, with_verdicts
+from sim_replay.verdict_layers import MISSED, is_likely, verdict_words, with_verdicts
 from sim_replay.verdicts import read_verdicts
 
 _WHOLE: Final = ("contacts", "track", "coverage", "clearance")
@@ -49,13 +48,14 @@ def read_layers(results: Path) -> dict[str, Sequence[Feature]]:
 def write_gpx(path: Path, layers: Mapping[str, Sequence[Feature]], name: str) -> None:
     """Write mine-like contacts, missed ones and structures as way-points, legs as routes, the track. Raises OSError.
 
-    A contact that was judged not mine-like stays, and says so. A structure stands at the middle of its outline.
+    A contact that is called is mine-like here. One that was judged not mine-like stays, and says so. A structure stands
+    at the middle of its outline.
     """
     lines = [
         '<?xml version="1.0" encoding="UTF-8"?>',
         '<gpx version="1.1" creator="auv-mcm" xmlns="http://www.topografix.com/GPX/1/1">',
         f"<metadata><name>{_text(name)}</name><desc>{_DATUM}</desc></metadata>",
-        *(_contact(feature) for feature in layers.get("contacts", ()) if _is_mine_like(feature)),
+        *(_contact(feature) for feature in layers.get("contacts", ()) if feature["geometry"] and is_likely(feature)),
         *map(_missed, layers.get(MISSED, ())),
         *map(_structure, layers.get(STRUCTURES, ())),
         *_routes(layers),
@@ -74,12 +74,6 @@ def _by_purpose(features: Iterable[Feature]) -> dict[str, Sequence[Feature]]:
         else:
             sorted_in["second_views" if properties["contact_id"] else "survey_legs"].append(feature)
     return dict(sorted_in)
-
-
-def _is_mine_like(feature: Feature) -> bool:
-    properties = feature["properties"]
-    is_likely = (properties["p_mine"] or 0.0) >= MINE_LIKE_P or properties.get("verdict") == "mine_like"
-    return feature["geometry"] is not None and is_likely
 
 
 def _contact(feature: Feature) -> str:

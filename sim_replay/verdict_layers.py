@@ -121,8 +121,8 @@ def kml_folders(layers: Layers, picture: Callable[[str], str] = lambda snippet: 
     never taken away by a verdict. picture: gives the address of a contact's picture, empty for none.
     """
     contacts = layers.get("contacts", ())
-    likely = [one for one in contacts if _is_likely(one)]
-    others = [one for one in contacts if not _is_likely(one)]
+    likely = [one for one in contacts if is_likely(one)]
+    others = [one for one in contacts if not is_likely(one)]
     for style, colour in _COLOURS.items():
         area = f"<PolyStyle><color>33{colour[2:]}</color></PolyStyle>"
         yield f'<Style id="{style}"><IconStyle><color>{colour}</color></IconStyle>{area}</Style>\n'
@@ -148,7 +148,8 @@ def verdict_words(properties: Mapping[str, Any]) -> str:
     return clean(f"judged {_words('verdict', call)} by {properties.get('judged_by')}" + (f": {about}" if about else ""))
 
 
-def _is_likely(feature: Feature) -> bool:
+def is_likely(feature: Feature) -> bool:
+    """Decide whether a contact is among the mine-like: called, of p_mine 0.2 or more, or judged so."""
     properties = feature["properties"]
     likely = (properties.get("p_mine") or 0.0) >= MINE_LIKE_P or bool(properties.get("called"))
     return likely or properties.get("verdict") == "mine_like"

@@ -174,7 +174,7 @@ def contacts_csv_parts(contacts: Iterable[Contact]) -> Iterator[str]:
 
 
 def contacts_kml_parts(contacts: Iterable[Contact], mission: str = "") -> Iterator[str]:
-    """Write a KML document: mine-like contacts and the rest in two folders.
+    """Write a KML document: contacts that are mine-like or called, and the rest, in two folders.
 
     Each contact has its picture, which lies in `snippets/` beside the file, a table and its 2-sigma error ellipse.
 
@@ -191,10 +191,10 @@ def contacts_kml_parts(contacts: Iterable[Contact], mission: str = "") -> Iterat
     )
     yield "\n".join(head)
     for style, title, mine_like in (("mine_like", "Mine-like", True), ("clutter", "Clutter", False)):
-        n = sum(is_mine_like(contact) == mine_like for contact in contacts)
+        n = sum((contact.called or is_mine_like(contact)) == mine_like for contact in contacts)
         yield f"\n<Folder>\n<name>{title} ({n})</name>"
         for contact in contacts:
-            if is_mine_like(contact) == mine_like:
+            if (contact.called or is_mine_like(contact)) == mine_like:
                 yield "\n".join(["", *_kml_placemark(contact, style)])
         yield "\n</Folder>"
     yield "\n</Document>\n</kml>\n"

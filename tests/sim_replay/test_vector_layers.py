@@ -34,7 +34,12 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     patch = CoveragePatch(
         side="port", tile_index=0, start_s=0.0, stop_s=1.0, rings_deg=(ring, ring + 0.01), covered_m2=1.0, lost_m2={}
     )
-    contacts = [contact("C00001"), contact("C00002", 0.1), contact("C00003", 0.5, latitude_deg=float("nan"))]
+    contacts = [
+        contact("C00001"),
+        contact("C00002", 0.1),
+        contact("C00004", 0.1, called=True),
+        contact("C00003", 0.5, latitude_deg=float("nan")),
+    ]
     write_results(folder, contacts, [patch], waypoints(), HOSTILE)
     line: Json = {"type": "LineString", "coordinates": [[12.0, 55.0], [12.001, 55.0]]}
     (folder / "track.geojson").write_bytes(collection([feature(line, {})]))
@@ -53,7 +58,7 @@ def test_gdal_reads_every_layer_of_the_geopackage(results: Path, tmp_path: Path)
     assert main(["export", str(results), "--gpkg", str(tmp_path / "m.gpkg")]) == 0
     layers = gdal_layers(tmp_path / "m.gpkg")
     assert {name: (info["features"], info["geometry_type"]) for name, info in layers.items()} == {
-        "contacts": (3, "Point"),
+        "contacts": (4, "Point"),
         "track": (1, "LineString"),
         "coverage": (1, "MultiPolygon"),
         "second_views": (1, "LineString"),
@@ -96,9 +101,9 @@ def test_gdal_reads_the_gpx_and_the_kml(results: Path, tmp_path: Path) -> None:
     assert main(["export", str(results), "--gpx", str(tmp_path / "m.gpx")]) == 0
     layers = gdal_layers(tmp_path / "m.gpx")
     found = {name: info["features"] for name, info in layers.items()}
-    assert found == {"waypoints": 1, "routes": 1, "tracks": 1, "route_points": 4, "track_points": 2}
+    assert found == {"waypoints": 2, "routes": 1, "tracks": 1, "route_points": 4, "track_points": 2}
     assert {name: info["features"] for name, info in gdal_layers(results / "contacts.kml").items()} == {
-        "Mine-like (2)": 2,
+        "Mine-like (3)": 3,
         "Clutter (1)": 1,
     }
     assert "snippets/C00001.png" in (results / "contacts.kml").read_text()

@@ -265,13 +265,17 @@ def test_csv_reads_back_and_disarms_formulas() -> None:
 
 def test_kml_is_xml_with_two_folders_whatever_the_names() -> None:
     text = contacts_kml(
-        [contact(reasons=("<b>&]]>\x00",)), contact(id="C<2>", p_mine=0.1, classification="clutter")],
+        [
+            contact(reasons=("<b>&]]>\x00",)),
+            contact(id="C<2>", p_mine=0.1, classification="clutter"),
+            contact(id="C3", p_mine=0.1, called=True),
+        ],
         'Lines "A" & <B>\x07',
     )
     document = ElementTree.fromstring(text)[0]
     assert document.findtext(f"{KML}name") == 'Lines "A" & <B>\\x07'
     folders = document.findall(f"{KML}Folder")
-    assert [folder.findtext(f"{KML}name") for folder in folders] == ["Mine-like (1)", "Clutter (1)"]
+    assert [folder.findtext(f"{KML}name") for folder in folders] == ["Mine-like (2)", "Clutter (1)"]
     description = folders[0].findtext(f"{KML}Placemark/{KML}description")
     assert description is not None
     assert "&lt;b&gt;&amp;]]&gt;" in description
