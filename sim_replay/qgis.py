@@ -14,6 +14,7 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 from auv_mcm.clean_text import clean
 from auv_mcm.contacts.contact_picture import CEILING_DB, FLOOR_DB
 from auv_mcm.contacts.contact_words import LEVELS
+from auv_mcm.errors import UsageError
 from auv_mcm.shell.whole_files import write_file
 from sim_replay.mosaic import WGS84, Box
 
@@ -53,7 +54,7 @@ def write_project(
     epsg: int = WGS84,
     is_coloured: bool = False,
 ) -> None:
-    """Write a project that shows the mosaic below the layers of the GeoPackage. Raises OSError.
+    """Write a project that shows the mosaic below the layers of the GeoPackage. Raises OSError or UsageError.
 
     Parameters
     ----------
@@ -150,6 +151,8 @@ def _reference(tag: str, epsg: int) -> Element:
 
 def _relative(target: Path, project: Path) -> str:
     relative = os.path.relpath(target.absolute(), project.absolute().parent).replace(os.sep, "/")
+    if clean(relative) != relative:
+        raise UsageError(f"{target} has a name that no QGIS project can hold. Rename it, or its folder")
     return relative if relative.startswith("../") else f"./{relative}"
 
 

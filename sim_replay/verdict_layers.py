@@ -101,7 +101,7 @@ def write_kml(path: Path, layers: Layers, name: str, results: Path) -> None:
     pictures = Path(folder)
 
     def picture(snippet: str) -> str:
-        return quote((pictures / snippet).as_posix()) if (results / snippet).is_file() else ""
+        return quote(os.fsencode(pictures / snippet)) if (results / snippet).is_file() else ""
 
     text = "".join(
         (

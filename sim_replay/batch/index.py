@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -12,6 +13,7 @@ from urllib.parse import quote
 import numpy as np
 
 from auv_mcm.clean_text import clean
+from auv_mcm.contacts.antimeridian import split_ring
 from auv_mcm.contacts.geojson import (
     METRE_DIGITS,
     PROBABILITY_DIGITS,
@@ -19,8 +21,11 @@ from auv_mcm.contacts.geojson import (
     collection_parts,
     feature,
     geojson_point,
+    one_or_multi,
+    positions_of,
     rounded,
 )
+from auv_mcm.geometry.geodesy import wrap_longitude_deg
 from auv_mcm.safe_files import read_regular
 from auv_mcm.settings.config import ContactsConfig
 from auv_mcm.shell.whole_files import write_file, write_parts
@@ -37,7 +42,10 @@ _LAST_TIME: Final = "~"  # after every time in ISO 8601: for a mission in which 
 
 
 class IndexedMission(NamedTuple):
-    """Hold the figures of one mission. box_deg: west, south, east, north of its coverage, None without any."""
+    """Hold the figures of one mission.
+
+    box_deg: west, south, east, north of its coverage, None without any; a side may lie beyond 180 degrees.
+    """
 
     name: str
     start: str
@@ -74,6 +82,8 @@ def _indexed(name: str, folder: Path) -> IndexedMission:
     for properties, rings in _patches(folder):
         times += [time for time in (properties["start"], properties["stop"]) if time]
         for ring in rings:
+            if box_deg is not None:
+                ring[:, 0] = _near(ring[:, 0], box_deg[0])
             (west, south), (east, north) = ring.min(axis=0).tolist(), ring.max(axis=0).tolist()
             if box_deg is not None:
                 west, south = min(west, box_deg[0]), min(south, box_deg[1])
@@ -167,10 +177,13 @@ def _box(box_deg: tuple[float, float, float, float] | None) -> Json:
     if box_deg is None:
         return None
     west, south, east, north = box_deg
-    return {
-        "type": "Polygon",
-        "coordinates": [[[west, south], [east, south], [east, north], [west, north], [west, south]]],
-    }
+    ring = np.array([[west, south], [east, south], [east, north], [west, north], [west, south]])
+    return one_or_multi("Polygon", [[positions_of(piece)] for piece in split_ring(ring)])
+
+
+def _near(longitude_deg: Any, reference_deg: float) -> Any:
+    """Shift longitudes by whole turns, so that they lie within half a turn of a reference."""
+    return reference_deg + wrap_longitude_deg(longitude_deg - reference_deg)
 
 
 def _is_called(one: SeenObject) -> bool:
@@ -198,7 +211,9 @@ def _page(missions: Sequence[IndexedMission], failed: Sequence[MissionOutcome], 
         n_called=len(called),
         n_objects=len(objects),
         changes=Counter(one.change for _, one in called),
-        report=lambda name, contact="": quote(f"{MISSIONS}/{name}/report.html") + (f"#{contact}" if contact else ""),
+        report=lambda name, contact="": (
+            quote(os.fsencode(f"{MISSIONS}/{name}/report.html")) + (f"#{contact}" if contact else "")
+        ),
         place=place,
         clean=clean,
     )
@@ -212,7 +227,9 @@ class _Map:
         corners = [corner for west, south, east, north in boxes for corner in ((west, south), (east, north))]
         points = np.array(corners + [(one.longitude_deg, one.latitude_deg) for one in objects]).reshape(-1, 2)
         self.is_empty = not len(points)
-        self._west = float(points[:, 0].min(initial=180.0))
+        self._reference = 0.0 if self.is_empty else float(points[0, 0])
+        points[:, 0] = _near(points[:, 0], self._reference)
+        self._west = float(points[:, 0].min(initial=self._reference + 180.0))
         self._north = float(points[:, 1].max(initial=-90.0))
         span_deg = np.ptp(points, axis=0) if len(points) else np.zeros(2)
         narrowing = np.cos(np.radians(self._north - 0.5 * span_deg[1]))
@@ -232,7 +249,7 @@ class _Map:
 
     def right(self, longitude_deg: float) -> float:
         """Return the units from the left edge."""
-        return float(_MAP_MARGIN + (longitude_deg - self._west) * self._right_per_deg)
+        return float(_MAP_MARGIN + (_near(longitude_deg, self._reference) - self._west) * self._right_per_deg)
 
     def down(self, latitude_deg: float) -> float:
         """Return the units from the top edge."""

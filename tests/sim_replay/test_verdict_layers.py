@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import shutil
 import zipfile
 from datetime import UTC, datetime
 from pathlib import Path
@@ -12,8 +14,11 @@ from xml.etree import ElementTree
 import pytest
 
 from auv_mcm.cli import main
+from auv_mcm.errors import UsageError
 from sim_replay.mcap_export import write_mcap
+from sim_replay.mosaic import Box
 from sim_replay.mosaic_files import write_kmz
+from sim_replay.qgis import write_project
 from sim_replay.vector_layers import read_layers
 from sim_replay.verdict_layers import COLUMNS, kml_folders
 from sim_replay.verdicts import Verdict, append_verdict
@@ -98,6 +103,14 @@ def test_gdal_opens_every_format_with_its_verdicts(results: Path, tmp_path: Path
     (whole,) = gdal_layers(names["geojson"]).values()
     assert whole["features"] == 5
     assert {"layer", *COLUMNS} <= set(whole["fields"])
+
+
+def test_pictures_in_a_folder_whose_name_is_no_text_are_found(results: Path, tmp_path: Path) -> None:
+    folder = shutil.copytree(results, tmp_path / os.fsdecode(b"\xe9"))
+    assert main(["export", str(folder), "--kml", str(tmp_path / "m.kml")]) == 0
+    assert "%E9/snippets/C00001.png" in (tmp_path / "m.kml").read_text()
+    with pytest.raises(UsageError, match="Rename it"):
+        write_project(tmp_path / "m.qgs", [], read_layers(folder), folder / "m.gpkg", "", Box(0.0, 0.0, 1.0, 1.0))
 
 
 def test_what_people_wrote_stays_text_in_xml(results: Path, tmp_path: Path) -> None:

@@ -9,21 +9,25 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from auv_mcm.cli import main
 from auv_mcm.errors import BadInputError, HardwareError, UsageError
+from auv_mcm.records import CoveragePatch
 from auv_mcm.settings.config import Config, ContactsConfig
 from sim_replay.batch import missions as batch_missions
-from sim_replay.batch.missions import MISSIONS, MissionTask, locked, replay_missions
+from sim_replay.batch.index import write_index
+from sim_replay.batch.missions import MISSIONS, MissionOutcome, MissionTask, locked, replay_missions
 from sim_replay.fitting.cascade.farm import Farm
-from sim_replay.logs.archive import logs_of
+from sim_replay.logs.archive import ArchivedLog, logs_of
 from sim_replay.logs.xtf_writer import write_xtf
 from sim_replay.replay import replay
 from sim_replay.results_folder import is_replayed
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene import Lawnmower, Scene, SceneObject, Sonar, Track
 from tests.dask_cluster import dask_cluster
+from tests.make.results import write_results
 
 SPHERE = SceneObject(kind="sphere", leg=0, along_m=6.0, across_m=10.0)
 CYLINDER = SceneObject(
@@ -107,6 +111,30 @@ def test_the_page_links_to_every_report_and_shows_names_as_they_are(undisturbed:
     assert f"{MISSIONS}/day2/b%20%3Ci%3E.xtf/report.html" in links
     assert "b &lt;i&gt;.xtf" in page
     assert "<i>" not in page
+
+
+def test_an_archive_at_the_antimeridian_and_of_names_that_are_no_text_is_indexed(tmp_path: Path) -> None:
+    outcomes = []
+    for number, (west, east) in enumerate([(179.999, 180.001), (-180.003, -180.002)]):
+        log = ArchivedLog(tmp_path, os.fsdecode(b"\xe9%d.xtf" % number))
+        ring = np.array([(west, -17.0), (east, -17.0), (east, -16.999), (west, -17.0)])
+        patch = CoveragePatch(
+            side="port", tile_index=0, start_s=9.0, stop_s=9.0, rings_deg=(ring,), covered_m2=1.0, lost_m2={}
+        )
+        (folder := tmp_path / MISSIONS / log.name).mkdir(parents=True)
+        write_results(folder, [], [patch], [], "")
+        figures = {"pings": 1, "covered_km2": 0.1, "contacts": 0, "contacts_called": 0}
+        (folder / "summary.json").write_text(json.dumps(figures))
+        outcomes.append(MissionOutcome(log, folder))
+    write_index(tmp_path, outcomes, ContactsConfig())
+    across, west = json.loads((tmp_path / "index.geojson").read_bytes())["features"]
+    longitudes = [[point[0] for point in part[0]] for part in across["geometry"]["coordinates"]]
+    assert sorted((min(part), max(part)) for part in longitudes) == [(-180.0, -179.999), (179.999, 180.0)]
+    assert [point[0] for point in west["geometry"]["coordinates"][0]].count(179.998) == 2
+    page = (tmp_path / "index.html").read_text("utf-8")
+    left = [float(part.split('"')[0]) for part in page.split('<rect x="')[1:]]
+    assert f"{MISSIONS}/%E90.xtf/report.html" in page
+    assert abs(left[0] - left[1]) > 100.0, "side by side on the map, not a world apart"
 
 
 def test_a_run_that_was_stopped_half_way_ends_with_the_same_bytes(
