@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from auv_mcm.contacts.contact import sigma_m
 from auv_mcm.contacts.contact_picture import encoded, in_picture, snippet_picture
-from auv_mcm.errors import BadInputError
+from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.records import Contact, Detection
 from auv_mcm.shell.whole_files import make_directory, write_file
 from sim_replay.report.report_file import ReportContents
@@ -123,9 +123,14 @@ def write_yolo(folder: Path, chips: list[Chip]) -> None:
 
 def _write_images(folder: Path, chips: list[Chip]) -> None:
     make_directory(folder)
-    make_directory(folder / "images")
+    images = make_directory(folder / "images")
+    if others := {path.name for path in images.glob("*.png")} - {chip.name for chip in chips}:
+        raise UsageError(
+            f"{images} holds {min(others)} and other pictures that are not of this export: they would be trained on "
+            "too. Name another folder, or remove them."
+        )
     for chip in chips:
-        write_file(folder / "images" / chip.name, encoded(chip.picture, ".png", []))
+        write_file(images / chip.name, encoded(chip.picture, ".png", []))
 
 
 def _chips(contact: Contact, verdict: Verdict) -> Iterator[Chip]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import cv2
@@ -12,7 +13,7 @@ import pytest
 
 from auv_mcm.contacts.contact_picture import snippet_png
 from auv_mcm.contacts.export import contact_feature
-from auv_mcm.errors import BadInputError
+from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.records import Contact
 from sim_replay.contact_sheet import sheet_contacts, write_contact_sheet
 from sim_replay.report import PictureCollector, Shown
@@ -100,6 +101,17 @@ def test_chips_are_those_judged_mine_like_or_not_with_a_box_in_the_picture(tmp_p
             [*middle, wide / image["width"], tall / image["height"]], abs=1e-5
         )
         assert (tmp_path / "yolo" / "images" / f"{label.stem}.png").exists()
+
+
+def test_chips_of_an_export_before_are_not_trained_on_after_their_verdict_is_withdrawn(tmp_path: Path) -> None:
+    judge(tmp_path)
+    chips = judged_chips(tmp_path, contents_of(contacts()))
+    for write in (write_yolo, lambda folder, some: write_coco(folder, some, "Line 7")):
+        write(tmp_path / "chips", chips[:2])
+        write(tmp_path / "chips", chips)
+        with pytest.raises(UsageError, match=r"C00002-1\.png .* Name another folder"):
+            write(tmp_path / "chips", chips[:2])
+        shutil.rmtree(tmp_path / "chips")
 
 
 def test_the_box_is_about_the_detection_on_either_side(tmp_path: Path) -> None:
