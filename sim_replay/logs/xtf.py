@@ -139,7 +139,7 @@ class XtfLog:
             for number, (time_s, raw) in enumerate(spread_ties(chain(probe, raw_pings), report.counters)):
                 self.bytes_read = reader.bytes_read
                 yield from report.take()
-                yield from reader.packets.until(time_s, fields.wanted, place_deg)
+                yield from reader.packets.until(time_s, raw.offset, fields.wanted, place_deg, report)
                 sample = navigation.sample(raw, time_s)
                 if sample is not None:
                     yield sample

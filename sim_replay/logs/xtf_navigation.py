@@ -7,6 +7,7 @@ Layouts are pyxtf's (Triton Imaging, "eXtended Triton Format", rev. 42): packets
 from __future__ import annotations
 
 import math
+import struct
 from collections import deque
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
@@ -18,13 +19,16 @@ from auv_mcm.errors import UsageError
 from auv_mcm.records import NAN, NavSample
 from drivers.navigation.corrections import moved, offset_m
 from drivers.navigation.nmea_unit import NmeaUnit
+from sim_replay.logs.xtf_report import LogReport
 
 ATTITUDE, SERIAL, NAVIGATION, GYRO, RAW_NAVIGATION = 3, 6, 42, 84, 107  # packet types (XTF)
 NAVIGATION_KINDS: Final = (ATTITUDE, SERIAL, NAVIGATION, GYRO, RAW_NAVIGATION)
 _POSITION_FIRST: Final = (RAW_NAVIGATION, NAVIGATION, SERIAL)  # the best kind of packet that a log holds serves alone
 _HEADING_FIRST: Final = (GYRO, RAW_NAVIGATION, ATTITUDE, SERIAL)
 _LEVEL_FIRST: Final = (ATTITUDE, RAW_NAVIGATION, SERIAL)
-_MAX_WAITING: Final = 4096  # packets before the next ping: a minute of 50 Hz
+_MAX_WAITING: Final = 1 << 15  # packets before the next ping: a minute of five units at 100 Hz
+_AHEAD_S: Final = 5.0  # s by which a packet may be later than the ping behind it in the file: recorders keep a second
+_BEHIND_S: Final = 600.0  # s before the ping ahead of it, for packets in blocks; time zones are 900 s apart (chosen)
 _DAY: Final = Struct("<HBBBBB")  # year, month, day, hour, minute, second
 _RAW: Final = Struct("<H2d4x3f4xf")  # tenths of a millisecond, Y, X, pitch, roll, then heading, behind the day
 _NAV: Final = Struct("<I8x2d")  # microseconds, Y, X, behind the day
@@ -34,6 +38,11 @@ _PACKET_AT, _ATTITUDE_AT, _ATTITUDE_DAY_AT, _SERIAL_AT = 14, 30, 54, 30  # bytes
 _STILL_S: Final = 6.0  # s for which a sensor's position may stand still: acoustic positioning comes every few seconds
 _STILL_FACTOR: Final = 2.5  # of the longest time between two positions of the sensor seen so far
 _SHIP_WAY_M: Final = 5.0  # m that a ship makes meanwhile, well above the scatter of its fixes
+
+_DOUBTED: Final = (
+    "a navigation packet's time is far from those of the pings around it: such packets count at the ping behind them; "
+    "set the clocks of sonar and navigation to UTC"
+)
 
 Place: TypeAlias = Callable[[float, float], tuple[float, float]]
 
@@ -85,9 +94,9 @@ def utc_seconds(year: int, month: int, day: int, clock: tuple[int, int, int], fr
 
 def read_packet(kind: int, data: bytes, unit: NmeaUnit) -> list[PacketNavigation]:
     """Read a navigation packet. unit: for the sentences in serial packets."""
-    if kind == SERIAL:
-        return _sentences(data, unit)
     try:
+        if kind == SERIAL:
+            return _sentences(data, unit)
         if kind == ATTITUDE:
             pitch, roll, heading = _ATTITUDE.unpack_from(data, _ATTITUDE_AT)
             time_s = _time(data, _ATTITUDE_DAY_AT, 1e-3 * int.from_bytes(data[61:63], "little"))
@@ -101,7 +110,7 @@ def read_packet(kind: int, data: bytes, unit: NmeaUnit) -> list[PacketNavigation
             return [PacketNavigation(kind, _time(data, _PACKET_AT, 1e-6 * ticks), x, y)]
         ticks, heading = _GYRO.unpack_from(data, at)
         return [PacketNavigation(kind, _time(data, _PACKET_AT, 1e-6 * ticks), heading_deg=heading)]
-    except IndexError:
+    except (IndexError, struct.error):  # it is shorter than its kind
         return []
 
 
@@ -132,14 +141,15 @@ class PacketQueue:
     """Hold navigation packets until the ping that follows them in time."""
 
     def __init__(self) -> None:
-        self._waiting: deque[PacketNavigation] = deque(maxlen=_MAX_WAITING)
+        self._waiting: deque[tuple[int, PacketNavigation]] = deque(maxlen=_MAX_WAITING)
+        self._ping_s = -math.inf
         self._unit = NmeaUnit("serial packets")
         self._kinds: dict[str, int] = {}  # by quantity: the best kind of packet met so far
         self._last: tuple[float, float] = (NAN, NAN)
         self.positions: deque[PacketNavigation] = deque(maxlen=_MAX_WAITING)
 
-    def add(self, kind: int, data: bytes) -> None:
-        """Take a packet."""
+    def add(self, kind: int, data: bytes, offset: int) -> None:
+        """Take a packet that lies at a byte of the file."""
         for packet in read_packet(kind, data, self._unit):
             for quantity, value, order in (
                 ("position", packet.x, _POSITION_FIRST),
@@ -149,7 +159,7 @@ class PacketQueue:
                 if math.isfinite(value) and kind in order:
                     best = self._kinds.get(quantity, kind)
                     self._kinds[quantity] = min(best, kind, key=order.index)
-            self._waiting.append(packet)
+            self._waiting.append((offset, packet))
             if math.isfinite(packet.x) and (packet.x, packet.y) != (0.0, 0.0):
                 self.positions.append(packet)
 
@@ -158,13 +168,33 @@ class PacketQueue:
         """Return the kind of packet that serves each quantity."""
         return dict(self._kinds)
 
-    def until(self, time_s: float, wanted: Wanted, place: Place) -> Iterator[NavSample]:
-        """Yield what packets say up to a time, of the quantities that are wanted; a repeated position is none.
+    def until(self, time_s: float, offset: int, wanted: Wanted, place: Place, report: LogReport) -> Iterator[NavSample]:
+        """Yield what packets say up to a ping, of the quantities that are wanted; a repeated position is none.
 
-        place: latitude and longitude of stored coordinates, x first.
+        A packet whose time is far from those of the pings around it, or that has none, counts at the ping behind it.
+
+        Parameters
+        ----------
+        time_s, offset
+            When the ping was, and at which byte of the file it lies.
+        wanted
+            Quantities.
+        place
+            Gives latitude and longitude of stored coordinates, x first.
+        report
+            Takes the count of doubted times, and a notice.
         """
-        while self._waiting and not self._waiting[0].time_s > time_s:
-            packet = self._waiting.popleft()
+        before_s, self._ping_s = min(self._ping_s, time_s), time_s
+        while self._waiting:
+            packet_offset, packet = self._waiting[0]
+            earliest_s = (time_s if packet_offset > offset else before_s) - _BEHIND_S
+            is_sound = earliest_s <= packet.time_s <= time_s + _AHEAD_S
+            if packet.time_s > time_s if is_sound else packet_offset > offset:
+                return
+            self._waiting.popleft()
+            if not is_sound and math.isfinite(packet.time_s):
+                report.counters["reader.packet_time_doubted"] += 1
+                report.notify_once("reader.packet_time_doubted", _DOUBTED, report.place(packet_offset))
             latitude = longitude = NAN
             if (
                 wanted.position
@@ -177,7 +207,7 @@ class PacketQueue:
             level = wanted.level and self._serves("level", packet)
             heading = wanted.heading and self._serves("heading", packet)
             yield NavSample(
-                time_s=time_s if math.isnan(packet.time_s) else packet.time_s,
+                time_s=packet.time_s if is_sound else time_s,
                 latitude_deg=latitude,
                 longitude_deg=longitude,
                 heading_rad=math.radians(packet.heading_deg) if heading else NAN,

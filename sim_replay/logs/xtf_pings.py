@@ -106,7 +106,7 @@ class PingReader:
                 self._join(file, item)
             elif item.kind != SONAR:
                 if item.kind in NAVIGATION_KINDS:
-                    self.packets.add(item.kind, item.data)
+                    self.packets.add(item.kind, item.data, item.offset)
                 report.counters[f"reader.packet_not_side_scan.{kind_name(item.kind)}"] += 1
             else:
                 yield item

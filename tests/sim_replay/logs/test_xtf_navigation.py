@@ -1,0 +1,80 @@
+"""Positions in packets of their own serve the pings that they stand among, whatever their clock and their length."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import pyxtf
+
+from auv_mcm.records import NavSample
+from tests.sim_replay.logs.xtf_logs import (
+    codes_of,
+    edit_headers,
+    navigation,
+    navigation_of,
+    packet_offsets,
+    pings_of,
+    read,
+    written,
+)
+
+N_PINGS = 80  # more than are read ahead
+
+
+def in_packets(path: Path, hours: int, only: int | None) -> Path:
+    """Move positions into packets 107, which all or one are so many hours off the clock of the pings."""
+    written(path, N_PINGS)
+    places: list[bytes] = []
+
+    def move(index: int, header: Any) -> None:
+        packet = pyxtf.XTFPosRawNavigation()
+        packet.MagicNumber, packet.HeaderType, packet.NumBytesThisRecord = 0xFACE, 107, 64
+        for name in ("Year", "Month", "Day", "Hour", "Minute", "Second"):
+            setattr(packet, name, getattr(header, name))
+        packet.Hour += hours if only in (None, index) else 0
+        packet.Microsecond = 100 * header.HSeconds
+        packet.RawXcoordinate, packet.RawYcoordinate = header.SensorXcoordinate, header.SensorYcoordinate
+        header.SensorXcoordinate = header.SensorYcoordinate = header.ShipXcoordinate = header.ShipYcoordinate = 0.0
+        places.append(bytes(packet))
+
+    edit_headers(path, move)
+    data = path.read_bytes()
+    starts = packet_offsets(data)
+    ends = [*starts[1:], len(data)]
+    pings = b"".join(place + data[start:end] for place, start, end in zip(places, starts, ends, strict=True))
+    path.write_bytes(data[: starts[0]] + pings)
+    return path
+
+
+def fixes_of(events: list[Any]) -> list[NavSample]:
+    return [sample for sample in navigation_of(events) if sample.latitude_deg == sample.latitude_deg]
+
+
+@pytest.mark.parametrize(("hours", "only"), [(0, None), (1, None), (-1, None), (1, 20), (-1, 60)])
+def test_a_clock_of_navigation_that_is_hours_off_or_once_wrong_costs_no_position(
+    tmp_path: Path, hours: int, only: int | None
+) -> None:
+    events, log = read(in_packets(tmp_path / "log.xtf", hours, only))
+    fixes = fixes_of(events)
+    assert [fix.latitude_deg for fix in fixes] == pytest.approx([navigation(n).latitude_deg for n in range(N_PINGS)])
+    late_s = [abs(fix.time_s - ping.time_s) for fix, ping in zip(fixes, pings_of(events), strict=True)]
+    assert max(late_s[1:]) < 0.2, "what stands before the first ping may be old"
+    n_doubted = 0 if not hours else 1 if only else N_PINGS - (hours < 0)
+    assert log.counters["reader.packet_time_doubted"] == n_doubted
+    assert ("reader.packet_time_doubted" in codes_of(events)) == bool(hours)
+
+
+def test_navigation_packets_that_are_too_short_are_left_out(tmp_path: Path) -> None:
+    path = written(tmp_path / "log.xtf", 3)
+    data = path.read_bytes()
+    start = packet_offsets(data)[1]
+    short = [
+        (b"\xce\xfa" + bytes([kind]) + bytes(7) + n.to_bytes(4, "little") + b"\x07" * 50)[:n]
+        for kind in (3, 6, 42, 84, 107)
+        for n in range(14, 64)
+    ]
+    path.write_bytes(data[:start] + b"".join(short) + data[start:])
+    events, _ = read(path)
+    assert len(pings_of(events)) == 3
