@@ -18,12 +18,13 @@ from sim_replay.logs.xtf_report import LogReport
 _DAY_S: Final = 86_400.0  # seconds per day
 _FIRST_YEAR: Final = 1980  # before it there was no recorder of this format: a clock that was never set
 _MAX_INTERVAL_S: Final = 2.0  # s between pings: at 750 m of range a second passes
+_BACK_S: Final = 1.0  # s: recorders keep the order of pings within a second
 _NOMINAL_SOUND_SPEED_MPS: Final = 1500.0  # m/s, for the time between pings of which nothing else is known
 _CLOCK_NOT_SET: Final = "the recorder's clock was never set: the date is unknown and times count from 1970"
 
 
 def timed(raw_pings: Iterator[RawPing], report: LogReport) -> Iterator[RawPing]:
-    """Leave out pings without a time; where the clock was never set, count all from 1970.
+    """Leave out pings without a time, or whose time alone is before all around; of a clock never set, count from 1970.
 
     Parameters
     ----------
@@ -46,9 +47,18 @@ def timed(raw_pings: Iterator[RawPing], report: LogReport) -> Iterator[RawPing]:
         report.notify_once("reader.time_two_digits", text, place)
     elif year < _FIRST_YEAR:
         report.notify_once("reader.time_unknown", f"{_CLOCK_NOT_SET} (year {year})", place)
+    last_s, doubted = -math.inf, None  # of the pings given; the one that steps back, until the next confirms it
     for raw in pings:
         if not math.isnan(raw.time_s):
-            yield raw
+            if doubted is not None and raw.time_s < last_s:
+                yield doubted
+                last_s = doubted.time_s
+            elif doubted is not None:
+                report.counters["reader.time_outlier"] += 1
+            doubted = raw if raw.time_s < last_s - _BACK_S else None
+            if doubted is None:
+                yield raw
+                last_s = raw.time_s
             continue
         report.counters["reader.time_invalid"] += 1
         report.notify_once(
@@ -57,6 +67,8 @@ def timed(raw_pings: Iterator[RawPing], report: LogReport) -> Iterator[RawPing]:
             "recorder's clock",
             report.place(raw.offset),
         )
+    if doubted is not None:
+        yield doubted
 
 
 def _counted(probe: list[RawPing], pings: Iterator[RawPing], report: LogReport) -> Iterator[RawPing]:

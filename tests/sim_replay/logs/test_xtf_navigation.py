@@ -66,6 +66,17 @@ def test_a_clock_of_navigation_that_is_hours_off_or_once_wrong_costs_no_position
     assert ("reader.packet_time_doubted" in codes_of(events)) == bool(hours)
 
 
+@pytest.mark.parametrize(("numbers", "n_left"), [([40], N_PINGS - 1), ([40, 41], N_PINGS), ([N_PINGS - 1], N_PINGS)])
+def test_one_ping_of_an_earlier_time_is_left_out_and_two_are_a_clock_that_was_set(
+    tmp_path: Path, numbers: list[int], n_left: int
+) -> None:
+    path = written(tmp_path / "log.xtf", N_PINGS)
+    edit_headers(path, lambda n, header: setattr(header, "Hour", header.Hour - 3 * (n in numbers)))
+    events, log = read(path)
+    assert len(pings_of(events)) == n_left
+    assert log.counters["reader.time_outlier"] == N_PINGS - n_left
+
+
 def test_navigation_packets_that_are_too_short_are_left_out(tmp_path: Path) -> None:
     path = written(tmp_path / "log.xtf", 3)
     data = path.read_bytes()
