@@ -92,7 +92,8 @@ def _from_table(path: Path, sidecar: Sidecar, n_lines: int) -> Track:
     recorded = np.arange(n_lines, dtype=np.float64)
     stored = recorded if sidecar.lines == "forward" else n_lines - 1 - recorded
     longitude = np.unwrap(longitude, period=360.0)
-    placed = [np.interp(stored, line, values) for values in (latitude, longitude)]
+    fixes = np.flatnonzero(np.append(True, (np.diff(latitude) != 0.0) | (np.diff(longitude) != 0.0)))  # others repeat
+    placed = [np.interp(stored, line[fixes], values[fixes]) for values in (latitude, longitude)]
     if "heading_deg" in columns:
         heading = np.interp(stored, line, np.unwrap(np.radians(columns["heading_deg"])))
     else:
@@ -140,10 +141,18 @@ def _number(path: Path, name: str, row: list[str], place: int, line: int) -> flo
     return value
 
 
+_STILL_M: Final = 1e-4  # m between two lines, below which a position stands still: pixels have 1 mm at the least
+
+
 def _course_rad(latitude_deg: Floats, longitude_deg: Floats) -> Floats:
     frame = LocalFrame(latitude_deg=float(latitude_deg[0]), longitude_deg=float(longitude_deg[0]), height_m=0.0)
     east, north = frame.to_enu(latitude_deg, longitude_deg, np.zeros(latitude_deg.shape)).T[:2]
-    return np.asarray(np.unwrap(np.arctan2(np.gradient(east), np.gradient(north))))
+    right, ahead = np.gradient(east), np.gradient(north)
+    moves = np.flatnonzero(np.hypot(right, ahead) > _STILL_M)
+    if not len(moves):
+        return np.zeros(len(east))
+    course = np.unwrap(np.arctan2(right[moves], ahead[moves]))
+    return np.asarray(np.interp(np.arange(len(east)), moves, course))  # none where a position is held
 
 
 # --- corners ---

@@ -170,6 +170,17 @@ def test_ground_range_comes_back_as_the_ground_range_it_was(tmp_path: Path) -> N
             assert kept == pytest.approx(float(numbers[number].sum()) * 0.05, rel=0.01)
 
 
+def test_positions_that_are_held_between_fixes_give_the_course_of_the_fixes(tmp_path: Path) -> None:
+    path = tmp_path / "image.npy"
+    np.save(path, plane())
+    beside(path)
+    held = [f"{line},0.5,{5.5 - line // 4 * 0.4 / 111_320.0:.9f}" for line in range(N_LINES)]  # to the west
+    (tmp_path / "track.csv").write_text("\n".join(["line,latitude_deg,longitude_deg", *held]))
+    fixes = [event for event in open_log(path, SAS) if isinstance(event, NavSample)]
+    assert {round(math.degrees(fix.heading_rad) % 360.0, 2) for fix in fixes} == {270.0}
+    assert len({fix.longitude_deg for fix in fixes}) == N_LINES - 3, "no steps, but for the end"
+
+
 def test_grazing_angle_stands_for_altitude(tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", plane())
     path = beside(tmp_path / "a.npy", altitude_m=None, near_grazing_deg=30.0)
