@@ -39,6 +39,15 @@ def check_new(out: Path | None, option: str = "--out") -> None:
         raise UsageError(f"{option} {out}: there is no folder {out.parent}. Make it first")
 
 
+def refuse_other_log(log: Path, truth: Path) -> None:
+    """Refuse to overwrite a log that no truth beside it shows to be an earlier result. Raises UsageError."""
+    if log.exists() and not truth.is_file():
+        raise UsageError(
+            f"{log} is there without a {truth.name} and may be a recording, which is never overwritten: name another "
+            "directory, or remove it"
+        )
+
+
 def add_line_options(parser: argparse.ArgumentParser, n_draws: int) -> None:
     """Add which recorded lines targets are embedded in, and how often by default."""
     parser.add_argument(

@@ -9,6 +9,7 @@ from typing import Final, NamedTuple
 
 from auv_mcm.records import NavSample, Ping
 from auv_mcm.shell.whole_files import make_directory, write_json
+from sim_replay.arguments import refuse_other_log
 from sim_replay.logs.xtf_writer import write_xtf
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.plan import planned_legs
@@ -42,6 +43,7 @@ def simulate(
     cannot be made.
     """
     folder = make_directory(out)
+    refuse_other_log(folder / LOG_NAME, folder / TRUTH_NAME)
     mission = Mission(scene, threads=threads)
     expected_s = _expected_s(scene.track)
     last_s = scene.track.start_time_s

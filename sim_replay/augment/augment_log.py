@@ -9,6 +9,7 @@ from typing import Final, NamedTuple
 from auv_mcm.errors import UsageError
 from auv_mcm.settings.config import Config
 from auv_mcm.shell.whole_files import make_directory, write_file, write_json
+from sim_replay.arguments import refuse_other_log
 from sim_replay.augment.augmented_truth import augmented_truth_of
 from sim_replay.augment.background_log import read_survey
 from sim_replay.augment.embed import embed
@@ -56,6 +57,7 @@ def augment(
         raise UsageError(
             f"--out {out} is where the log itself lies, which is never overwritten: name another directory"
         )
+    refuse_other_log(target, folder / TRUTH_NAME)
     done = embed(survey, track, placements, config, spec.seed, progress=progress)
     (folder / TRUTH_NAME).unlink(missing_ok=True)  # written last: its presence shows that it belongs to the log
     write_file(target, done.data)

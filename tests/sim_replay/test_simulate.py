@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from auv_mcm.cli import main
+from auv_mcm.errors import UsageError
 from auv_mcm.records import NavSample, Ping
 from auv_mcm.settings.config import SonarConfig
 from sim_replay.logs.xtf import XtfLog
@@ -52,6 +53,13 @@ def test_equal_scenes_give_equal_bytes(scene: Scene, tmp_path: Path) -> None:
     first, second = simulate(scene, tmp_path / "a"), simulate(scene, tmp_path / "b", threads=2)
     assert first.log.read_bytes() == second.log.read_bytes()
     assert first.truth.read_bytes() == second.truth.read_bytes()
+
+
+def test_a_recording_of_the_same_name_is_never_overwritten(scene: Scene, tmp_path: Path) -> None:
+    (tmp_path / "mission.xtf").write_bytes(b"recorded")
+    with pytest.raises(UsageError, match="never overwritten"):
+        simulate(scene, tmp_path)
+    assert (tmp_path / "mission.xtf").read_bytes() == b"recorded"
 
 
 def test_simulate_replay_and_score_follow_one_another(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -65,7 +65,12 @@ def test_equal_input_gives_equal_files(log: Path, tmp_path: Path) -> None:
     assert one.log.read_bytes() != log.read_bytes()
 
 
-def test_the_log_itself_is_never_overwritten(log: Path) -> None:
+def test_the_log_itself_and_another_of_its_name_are_never_overwritten(log: Path, tmp_path: Path) -> None:
+    (out := tmp_path / "day2").mkdir()
+    (out / log.name).write_bytes(b"another day")
+    with pytest.raises(UsageError, match="never overwritten"):
+        augment(log, parse_target_spec(SPEC, "spec"), out, CONFIG)
+    assert (out / log.name).read_bytes() == b"another day"
     before = log.read_bytes()
     with pytest.raises(UsageError, match="never overwritten"):
         augment(log, parse_target_spec(SPEC, "spec"), log.parent, CONFIG)
