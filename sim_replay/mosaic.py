@@ -179,6 +179,11 @@ class Mosaic:
         """Check whether nothing was drawn."""
         return not len(self._blocks)
 
+    @property
+    def crs(self) -> str:
+        """Name the reference system as asked for; its code as soon as anything is drawn."""
+        return self._crs if self._projection is None else f"EPSG:{self._projection.epsg}"
+
     def add(self, tile: Tile) -> None:
         """Draw the core of a tile. Rows whose position is not known are left out."""
         known = np.flatnonzero(

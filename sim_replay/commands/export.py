@@ -325,6 +325,7 @@ def _mosaics(source: ExportSource, arguments: argparse.Namespace) -> list[list[L
                 fade_share=arguments.fade_nadir,
             )
         legs[number].add(tile)
+        crs = legs[number].crs  # of UTM one zone for all legs
     found = [levels for mosaic in legs.values() if (levels := list(mosaic.levels()))]
     if not found:
         raise BadInputError("no position was recorded, so there is no mosaic. Check the navigation of the log.")

@@ -10,12 +10,16 @@ from typing import Any
 import numpy as np
 import pytest
 
+from auv_mcm.cli import main
 from auv_mcm.errors import UsageError
 from auv_mcm.settings.config import Config
+from sim_replay.logs.xtf_writer import write_xtf
 from sim_replay.mosaic import Mosaic
 from sim_replay.mosaic_files import PALETTES, write_geotiff
 from sim_replay.mosaic_legs import leg_numbers
 from sim_replay.projections import check_crs, projection
+from sim_replay.simulator.mission import Mission
+from sim_replay.simulator.scene import Lawnmower, Origin, Scene, Sonar, Track
 from sim_replay.survey_gain import SurveyGain
 from tests.sim_replay.report_samples import tile as plain_tile
 from tests.sim_replay.test_mosaic import tile
@@ -179,6 +183,26 @@ def test_a_gain_over_range_and_angle_goes_and_the_floors_stay_apart() -> None:
     assert np.std(first) < 0.5
     assert np.abs(first - first.mean()).max() < 1.0
     assert second - first == pytest.approx(np.full(n_columns, 6.0), abs=0.5)
+
+
+def test_legs_on_both_sides_of_a_utm_zone_are_in_one(tmp_path: Path) -> None:
+    rasterio = pytest.importorskip("rasterio", reason="rasterio, which brings GDAL, is not installed")
+    plan = Lawnmower(n_legs=2, leg_m=14.0, spacing_m=20.0)
+    scene = Scene(
+        seed=1,
+        origin=Origin(latitude_deg=55.0, longitude_deg=5.9999),
+        sonar=Sonar(range_m=12.0, ping_rate_hz=10.0, beam_lines=1),
+        track=Track(plan=plan, altitude_m=3.0),
+    )
+    write_xtf(tmp_path / "log.xtf", Mission(scene).events())
+    words = ["--geotiff", str(tmp_path / "m.tif"), "--crs", "utm", "--per-leg", "--resolution", "1"]
+    assert main(["export", str(tmp_path / "log.xtf"), *words]) == 0
+    codes = []
+    for path in sorted(tmp_path.glob("m-*.tif")):
+        with rasterio.open(path) as file:
+            codes.append(file.crs.to_epsg())
+    assert len(codes) > 1
+    assert set(codes) == {32631}
 
 
 def test_a_leg_ends_where_the_course_turns() -> None:
