@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 DEFAULT_RESOLUTION_M: Final = 0.25
 """Pixel of a mosaic unless asked otherwise: a mine of half a metre has two of them, and 40 minutes take 11 MB."""
-_FINEST_M: Final = 0.02  # m: the finest pixel that is made; sonars resolve a few centimetres at best
+_FINEST_M, _COARSEST_M = 0.02, 100.0  # m, of a pixel: sonars resolve centimetres, and a swath fits into one (chosen)
 
 
 def add(commands: Commands) -> None:
@@ -94,7 +94,7 @@ def _add_mosaic(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--resolution",
         metavar="M",
-        type=_metres(_FINEST_M),
+        type=_metres(_FINEST_M, _COARSEST_M),
         default=DEFAULT_RESOLUTION_M,
         help=f"pixel of the mosaic, m (default {DEFAULT_RESOLUTION_M:g})",
     )
@@ -141,14 +141,14 @@ def _add_mosaic(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _metres(low_m: float) -> Callable[[str], float]:
+def _metres(low_m: float, high_m: float = math.inf) -> Callable[[str], float]:
     def parse(text: str) -> float:
         try:
             value = float(text)
         except ValueError:
             value = math.nan
-        if not low_m <= value < math.inf:
-            raise argparse.ArgumentTypeError(f"'{text}' is not a number of metres from {low_m:g} on")
+        if not (low_m <= value <= high_m and math.isfinite(value)):
+            raise argparse.ArgumentTypeError(f"'{text}' is not a number of metres from {low_m:g} to {high_m:g}")
         return value
 
     return parse
@@ -328,7 +328,7 @@ def _mosaics(source: ExportSource, arguments: argparse.Namespace) -> list[list[L
         crs = legs[number].crs  # of UTM one zone for all legs
     found = [levels for mosaic in legs.values() if (levels := list(mosaic.levels()))]
     if not found:
-        raise BadInputError("no position was recorded, so there is no mosaic. Check the navigation of the log.")
+        raise BadInputError("nothing has a place, so there is no mosaic. Check the navigation, and --mask-nadir.")
     return found
 
 

@@ -71,7 +71,7 @@ def _raise(error: OSError) -> None:
 
 
 def _listed(file: Path) -> list[Path]:
-    lines = [line.strip() for line in read_regular(file, MAX_TEXT_BYTES).decode("utf-8").splitlines()]
+    lines = [line.strip() for line in read_regular(file, MAX_TEXT_BYTES).decode("utf-8-sig").splitlines()]
     paths = [Path(os.path.normpath(file.parent.absolute() / line)) for line in lines if line and line[0] != "#"]
     if twice := sorted({str(path) for path in paths if paths.count(path) > 1}):
         raise UsageError(f"{file} names {twice[0]} twice. Name each log once")

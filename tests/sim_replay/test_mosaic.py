@@ -219,7 +219,7 @@ def test_an_export_without_a_file_or_into_no_folder_is_one_clear_line(
         assert says in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("words", [["--resolution", "0"], ["--max-sigma", "nan"], ["--resolution", "fine"]])
+@pytest.mark.parametrize("words", [["--resolution", each] for each in ("0", "1e6", "fine")] + [["--max-sigma", "nan"]])
 def test_a_size_that_is_none_is_rejected(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         main(["export", "mission.xtf", "--geotiff", "m.tif", *words])

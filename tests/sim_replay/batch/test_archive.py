@@ -33,7 +33,7 @@ def test_a_list_names_logs_from_its_own_folder_whatever_their_suffix(tmp_path: P
     touch(tmp_path / "day1" / "line")
     listed = tmp_path / "lists" / "all.txt"
     listed.parent.mkdir()
-    listed.write_text("# spring\n\n../day1/line\n ../day1/missing.xtf \n")
+    listed.write_text("\ufeff../day1/line\n# spring\n\n ../day1/missing.xtf \n")  # with the mark of Windows' editors
     logs = logs_of(listed, tmp_path / "out")
     assert [(log.name, log.path) for log in logs] == [
         ("line", tmp_path / "day1" / "line"),
