@@ -306,8 +306,10 @@ class _Navigation:
             return None
         headings = np.array(sorted(self._headings))
         near = np.clip(np.searchsorted(headings[:, 0], times_s), 0, len(headings) - 1)
-        off = (headings[near, 1] - np.array(courses_rad) + math.pi) % (2.0 * math.pi) - math.pi
-        return _known(math.degrees(float(np.median(off))), 1)
+        off = headings[near, 1] - np.array(courses_rad)
+        middle = math.atan2(float(np.sin(off).mean()), float(np.cos(off).mean()))  # a compass turned round is about 180
+        middle += _median((off - middle + math.pi) % (2.0 * math.pi) - math.pi)
+        return _known(math.degrees(math.remainder(middle, 2.0 * math.pi)), 1)
 
 
 class _Floor:

@@ -65,6 +65,18 @@ def test_every_format_is_described(kind: str, tmp_path: Path, capsys: pytest.Cap
     assert info["transfer"]
 
 
+def test_a_compass_that_is_turned_round_is_180_degrees_off_the_course(xtf: Path, tmp_path: Path) -> None:
+    path = Path(shutil.copy(xtf, tmp_path / "turned.xtf"))
+
+    def turn(index: int, header: Any) -> None:
+        header.SensorXcoordinate, header.SensorYcoordinate = 5.0, 43.0 + 2e-5 * max(index, 1)
+        header.SensorHeading = 170.0 if index < 107 else 190.0
+
+    edit_headers(path, turn)
+    off_deg = describe(path, Config())["navigation"]["heading_minus_course_deg"]
+    assert abs(off_deg) == pytest.approx(180.0, abs=11.0)
+
+
 def test_notices_are_those_of_the_replay(xtf: Path, tmp_path: Path) -> None:
     path = tmp_path / "odd.xtf"
     shutil.copy(xtf, path)
