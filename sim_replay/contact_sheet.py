@@ -90,7 +90,11 @@ def _contact(sheet: FPDF, feature: Feature, results: Path) -> None:
     name = str(properties.get("id") or properties.get("object") or "")
     picture = results / "snippets" / f"{name}.png"
     if name.startswith("C") and name[1:].isdecimal() and picture.is_file():
-        sheet.image(str(picture), _MARGIN_MM, top, _PICTURE_MM, _PICTURE_MM, keep_aspect_ratio=True)
+        try:
+            sheet.image(str(picture), _MARGIN_MM, top, _PICTURE_MM, _PICTURE_MM, keep_aspect_ratio=True)
+        except (OSError, SyntaxError, ValueError):  # of Pillow, as a file is damaged
+            sheet.set_font("helvetica", "", _FACTS)
+            sheet.text(_MARGIN_MM, top + 4.0, "picture damaged")
     sheet.set_left_margin(_MARGIN_MM + _PICTURE_MM + 4.0)
     sheet.set_y(top)
     _line(sheet, 11.0, "B", name)

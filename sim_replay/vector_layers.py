@@ -18,6 +18,7 @@ from sim_replay.verdicts import read_verdicts
 
 _WHOLE: Final = ("contacts", "track", "coverage", "clearance")
 _WAYPOINTS: Final = "waypoints"
+_NEEDED: Final = {"contacts": ("id", "p_mine", "class", "views")}
 _DATUM: Final = "WGS 84; depths are of the sea floor below the surface at the time, not reduced for tide"
 
 Feature = Mapping[str, Any]
@@ -37,6 +38,8 @@ def read_layers(results: Path) -> dict[str, Sequence[Feature]]:
             continue
         try:
             features: list[Feature] = json.loads(read_regular(path))["features"]
+            for one in features:
+                _ = one["geometry"], {**one["properties"]}, [one["properties"][key] for key in _NEEDED.get(name, ())]
             layers |= {name: features} if name != _WAYPOINTS else _by_purpose(features)
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise BadInputError(f"{path} cannot be read: {error}. Replay the log again.") from error

@@ -139,5 +139,9 @@ def test_a_sheet_has_every_contact_that_matters_and_is_the_same_each_time(tmp_pa
     data = (tmp_path / "one.pdf").read_bytes()
     assert data.startswith(b"%PDF-")
     assert data == (tmp_path / "two.pdf").read_bytes()
+    for damaged in (b"", snippet_png(found[0].views[0])[:300]):
+        (tmp_path / "snippets" / "C00001.png").write_bytes(damaged)
+        write_contact_sheet(tmp_path / "damaged.pdf", tmp_path, layers, "")
+        assert (tmp_path / "damaged.pdf").read_bytes().startswith(b"%PDF-")
     write_contact_sheet(tmp_path / "empty.pdf", tmp_path, {"contacts": []}, "")
     assert (tmp_path / "empty.pdf").read_bytes().startswith(b"%PDF-")

@@ -136,10 +136,13 @@ def test_layers_without_results_or_of_damaged_ones_are_one_clear_line(
     (tmp_path / "mission.xtf").touch()
     assert main(["export", str(tmp_path / "mission.xtf"), "--gpkg", str(tmp_path / "m.gpkg")]) == 2
     assert "replay the log first" in capsys.readouterr().err
-    for name, text in (("summary.json", "{}"), ("contacts.geojson", '{"features"')):
-        (tmp_path / name).write_text(text)
-    assert main(["export", str(tmp_path), "--gpx", str(tmp_path / "m.gpx")]) == 3
-    assert "contacts.geojson cannot be read" in capsys.readouterr().err
+    (tmp_path / "summary.json").write_text("{}")
+    for place in ("contacts", "track", "waypoints"):
+        for text in ('{"features"', '{"features":[{"geometry":null,"properties":null}]}', '{"features":[{}]}'):
+            (tmp_path / f"{place}.geojson").write_text(text)
+            assert main(["export", str(tmp_path), "--gpx", str(tmp_path / "m.gpx")]) == 3
+            assert f"{place}.geojson cannot be read" in capsys.readouterr().err
+        (tmp_path / f"{place}.geojson").write_text('{"features":[]}')
 
 
 def test_the_style_of_contacts_covers_every_chance_once(results: Path, tmp_path: Path) -> None:
