@@ -40,7 +40,7 @@ def default_results(logs: Sequence[Path], parent: Path = Path()) -> Path:
 
 
 def resolved_log(entry: object, folder: Path) -> Path:
-    """Find a log that results name: where it was, relative to the results, or beside them.
+    """Find a log that results name: where it was, or of the same size relative to the results or beside them.
 
     Parameters
     ----------
@@ -59,7 +59,12 @@ def resolved_log(entry: object, folder: Path) -> Path:
     relative = known.get("relative")
     places = [named, *([folder / relative] if isinstance(relative, str) else [])]
     places += [folder / named, folder / named.name, folder.parent / named.name]
-    found = next((place for place in places if named.name and place.exists()), None)
+    size = known.get("bytes")  # another log may have the same name
+
+    def is_it(place: Path) -> bool:
+        return place.exists() and (place == named or not place.is_file() or size in (None, place.stat().st_size))
+
+    found = next((place for place in places if named.name and is_it(place)), None)
     if found is None:
         raise FileNotFoundError(str(named))
     return found

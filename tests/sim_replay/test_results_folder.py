@@ -52,6 +52,8 @@ def test_a_log_is_found_after_log_and_results_moved_together(tmp_path: Path) -> 
     shutil.move(tmp_path / "old", tmp_path / "new")
     found = resolved_log(entry, tmp_path / "new" / "out" / "results")
     assert found.samefile(tmp_path / "new" / "logs" / "a.xtf")
+    with pytest.raises(FileNotFoundError):  # another mission's, of the same name
+        resolved_log({**entry, "bytes": 1}, tmp_path / "new" / "out" / "results")
     (tmp_path / "new" / "logs" / "a.xtf").unlink()
     with pytest.raises(FileNotFoundError, match=r"a\.xtf"):
         resolved_log(entry, tmp_path / "new" / "out" / "results")
