@@ -14,6 +14,7 @@ from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.records import NavSample, Notice, Ping, SourceEvent
 from auv_mcm.settings.config import Config
 from auv_mcm.source import EventSink, SourceUri
+from drivers.recording.session_layout import FILE_PATTERN
 from sim_replay.logs.bottom_lines import FoundLine, corrected, find_bottom_line, unused_notice
 from sim_replay.logs.log_reader import Log
 from sim_replay.logs.open_log import CHUNK_BYTES, is_session, open_log
@@ -27,8 +28,11 @@ _BATCH: Final = 32  # events read at once off the event loop
 def open_mission(paths: Sequence[Path], config: Config, chunk_bytes: int = CHUNK_BYTES) -> RecordedMission:
     """Open logs of pings, or one recorded session of ports, as one mission.
 
-    The recordings of one session, all named, are that session. Raises UsageError or BadInputError.
+    The recordings of one session, all named, are that session, and so are all their files.
+
+    Raises UsageError or BadInputError.
     """
+    paths = _whole_recordings(paths) if len(paths) > 1 else paths
     sessions = [path for path in paths if is_session(path)]
     if not sessions or len(paths) == 1:
         return RecordedMission(paths, config, chunk_bytes)
@@ -212,6 +216,13 @@ def parse_speed(text: str, place: str) -> float:
     if not speed > 0.0:
         raise UsageError(f"{place}: speed '{text}' is neither real, max nor a number above 0")
     return speed
+
+
+def _whole_recordings(paths: Sequence[Path]) -> Sequence[Path]:
+    """Name recordings in place of their files where every file is named, as results name them."""
+    folders = list(dict.fromkeys(path.parent for path in paths))
+    files = {file.resolve() for folder in folders for file in folder.glob(FILE_PATTERN)}
+    return folders if files == {path.resolve() for path in paths} else paths
 
 
 def _refuse_repeated(paths: Sequence[Path]) -> None:
