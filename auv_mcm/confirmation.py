@@ -36,7 +36,7 @@ from auv_mcm.classify.likelihood import image_row_sums, labels_cost_of
 from auv_mcm.classify.odds import MineOdds, with_ratio
 from auv_mcm.classify.size_evidence import NO_WEIGHT, SizeEvidence, SizeWeight, size_evidence
 from auv_mcm.classify.targets import shipped_targets
-from auv_mcm.classify.verifier import MINE_KINDS, NO_OPINION, Opinion, mean_scores, opinions_of, shipped_network
+from auv_mcm.classify.verifier import MINE_KINDS, NO_OPINION, Opinion, mean_scores, network_of, opinions_of
 from auv_mcm.confirm.mrf import Segmentation, segment
 from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region, require_sound
 from auv_mcm.confirm.snake import Contours, converge_on, start_from_labels, survey
@@ -164,7 +164,7 @@ def opinions_on(
     """
     if odds.verifier is None:
         raise ValueError("these odds have no verifier")
-    network, other_nats = shipped_network(odds.verifier.digest), odds.verifier.other_nats
+    network, other_nats = network_of(odds.verifier.digest, odds.verifier.file), odds.verifier.other_nats
     seen = [
         (one, region_of(one, one.surroundings, beam_width_rad)) for one in detections if one.surroundings is not None
     ]

@@ -13,6 +13,7 @@ import functools
 import math
 from collections.abc import Mapping, Sequence
 from importlib import resources
+from pathlib import Path
 from typing import Annotated, Any, Final, NamedTuple, TypeAlias
 
 import msgspec
@@ -20,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.classify.beliefs import MINES, Array, conjunctive, subset, vacuous
+from auv_mcm.classify.verifier import network_of
 from auv_mcm.errors import BadInputError
 from auv_mcm.model_file import SHIPPED, read_model
 from auv_mcm.records import Detector, MeasuredStep
@@ -140,8 +142,9 @@ class Verification(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     """Weigh the verifier's network beside the detector's measurements.
 
     Log-odds = offset + detector * log-odds by the detector + network * ln(p(mine) / p(anything else)) by the network.
-    other_nats: added to the network's score of other objects. digest: SHA-256 of the network's file. made_by,
-    trained_on, calibrated_on: how it was made, what from, and what these weights were fitted on.
+    other_nats: added to the network's score of other objects. digest: SHA-256 of the network's file. file: where it is,
+    from the folder of the odds; empty for the one that ships. made_by, trained_on, calibrated_on: how it was made, what
+    from, and what these weights were fitted on.
     """
 
     digest: Annotated[str, msgspec.Meta(pattern="^[0-9a-f]{64}$")]
@@ -149,6 +152,7 @@ class Verification(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     detector: _Weight
     network: _Weight
     other_nats: _Weight
+    file: str = ""
     made_by: str = ""
     trained_on: str = ""
     calibrated_on: str = ""
@@ -243,8 +247,8 @@ def shipped_odds(detector: Detector) -> MineOdds:
 def configured_odds(config: Config, detector: Detector) -> MineOdds:
     """Read the weights that `confirm.odds` names, for detections of the detector that serves.
 
-    Raises BadInputError naming the file, for one that is damaged or of the other detector, and where gate and
-    background belong to other weights: verdicts change those that ship, a fit makes new ones.
+    Raises BadInputError naming the file, for one that is damaged or of the other detector, for its network, and where
+    gate and background belong to other weights: verdicts change those that ship, a fit makes new ones.
     """
     name = config.confirm.odds
     odds = read_model("confirm.odds", name, parse_odds, lambda: shipped_odds(detector))
@@ -262,7 +266,11 @@ def configured_odds(config: Config, detector: Detector) -> MineOdds:
             f"confirm.odds {name}: {' and '.join(unfitted)}: what ships belongs to the odds that ship. Name files that "
             "'auv-mcm calibrate gate' and 'auv-mcm calibrate background' wrote with this configuration, or 'none'"
         )
-    return odds
+    if odds.verifier is None or not odds.verifier.file:
+        return odds
+    verifier = msgspec.structs.replace(odds.verifier, file=str(Path(name).absolute().parent / odds.verifier.file))
+    network_of(verifier.digest, verifier.file)
+    return msgspec.structs.replace(odds, verifier=verifier)
 
 
 def parse_odds(data: bytes, place: str) -> MineOdds:

@@ -12,6 +12,7 @@ import hashlib
 import threading
 from collections.abc import Sequence
 from importlib import resources
+from pathlib import Path
 from typing import Final, NamedTuple
 
 import cv2
@@ -20,6 +21,7 @@ from numpy.typing import NDArray
 
 from auv_mcm.classify.chips import N_COLUMNS, N_HEIGHTS, N_PLACE, N_ROWS, Chip
 from auv_mcm.errors import BadInputError
+from auv_mcm.safe_files import read_regular
 
 MINE_KINDS: Final = ("cylinder", "sphere", "truncated_cone", "wedge", "box")
 """Kinds of mines that the network separates."""
@@ -78,9 +80,17 @@ def parse_network(data: bytes, place: str, digest: str | None = None) -> Network
 
 
 @functools.cache
-def shipped_network(digest: str) -> Network:
-    """Load the network that ships with the package, once in a process. Raises BadInputError for another digest."""
-    return parse_network(resources.files("auv_mcm.classify").joinpath(FILE).read_bytes(), FILE, digest)
+def network_of(digest: str, file: str = "") -> Network:
+    """Load a network from its file, or the one that ships with the package, once in a process.
+
+    Raises BadInputError for a file that cannot be read, is no network, or has another digest.
+    """
+    if not file:
+        return parse_network(resources.files("auv_mcm.classify").joinpath(FILE).read_bytes(), FILE, digest)
+    try:
+        return parse_network(read_regular(Path(file)), file, digest)
+    except OSError as error:
+        raise BadInputError(f"{file}: {error.strerror}. Put the network of these odds there again") from error
 
 
 class Opinion(NamedTuple):

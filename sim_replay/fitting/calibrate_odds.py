@@ -17,7 +17,7 @@ import msgspec
 
 from auv_mcm import __version__
 from auv_mcm.classify.odds import MineOdds, shipped_odds
-from auv_mcm.classify.verifier import shipped_network
+from auv_mcm.classify.verifier import FILE, Network, network_of
 from auv_mcm.errors import UsageError
 from auv_mcm.records import Detector
 from auv_mcm.shell.whole_files import make_directory, write_file
@@ -86,6 +86,7 @@ def fit_from_missions(
     looks: Path | None = None,
     n_workers: int = 1,
     show: Callable[[int, int], None] = lambda done, of: None,
+    network: Network | None = None,
 ) -> None:
     """Fly missions, fit the weights to what became of their detections, and write them to `out`, JSON.
 
@@ -97,6 +98,8 @@ def fit_from_missions(
         Missions flown at once.
     show
         Takes the missions flown so far, and how many there are to fly.
+    network
+        To weigh in place of the one that ships: verifier.onnx, beside `out`.
 
     Raises
     ------
@@ -110,7 +113,7 @@ def fit_from_missions(
         farm = Farm(n_workers)
         odds = fitted_odds(missions, all_looks(fitted, looks or Path(folder), farm, show))
         if missions.detector == "cascade":
-            odds = beside_network(odds, fitted, (looks or Path(folder)) / "verifier", farm, show)
+            odds = beside_network(odds, fitted, (looks or Path(folder)) / "verifier", farm, show, network)
     try:
         write_file(out, written(odds))
     except OSError as error:
@@ -133,15 +136,21 @@ def fitted_odds(missions: Missions, flown: Sequence[MissionLooks]) -> MineOdds:
 
 
 def beside_network(
-    odds: MineOdds, tasks: Sequence[LookTask], folder: Path, farm: Farm, show: Callable[[int, int], None]
+    odds: MineOdds,
+    tasks: Sequence[LookTask],
+    folder: Path,
+    farm: Farm,
+    show: Callable[[int, int], None],
+    own: Network | None = None,
 ) -> MineOdds:
-    """Weigh the network that ships beside these odds, on missions with as many mines as usual."""
+    """Weigh an own network, or the one that ships, beside these odds, on missions with as many mines as usual."""
     usual = [task for task in tasks if task.times == 1 and task.source != DRAWN and not task.is_line]
     verifier = shipped_odds("cascade").verifier
     assert verifier is not None
-    network = shipped_network(verifier.digest)
+    network = own or network_of(verifier.digest)
     seen = [looks_of(place, "scenes", network, odds) for place in fly_all(usual, folder, farm, show)]
-    return msgspec.structs.replace(odds, verifier=weighed(seen, network.digest))
+    found = msgspec.structs.replace(weighed(seen, network.digest), file=FILE if own else "")
+    return msgspec.structs.replace(odds, verifier=found)
 
 
 def n_trees_of(detector: Detector) -> int:

@@ -12,6 +12,7 @@ from typing import Final, NamedTuple
 
 import msgspec
 
+from auv_mcm.classify.verifier import FILE, parse_network
 from auv_mcm.errors import UsageError
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.safe_files import read_regular
@@ -28,6 +29,7 @@ from sim_replay.fitting.fit_gate import FIRST_SEED as GATE_SEED
 from sim_replay.fitting.fit_gate import calibrate_gate
 from sim_replay.fitting.looks import LookTask, flight_of
 from sim_replay.fitting.theatre import Theatre, with_files
+from sim_replay.fitting.verifier.own import can_train, own_network
 from sim_replay.flights import fly_through
 from sim_replay.scoring.inputs import ScoredMission, as_reported, parse_truth
 from sim_replay.scoring.thresholds import BestScores, banded_at, best_scores
@@ -45,9 +47,12 @@ Watched = Callable[[str], AbstractContextManager[Show]]
 
 
 class Step(NamedTuple):
-    """Name a fitted file, and what it is in the configuration. fit: writes it, for a theatre with all files before."""
+    """Name a fitted file, and what it is in the configuration, None for the network, which the odds name.
 
-    key: str
+    fit: writes it, for a theatre with all files before.
+    """
+
+    key: str | None
     file: str
     fit: Callable[[Theatre, Path, Show], None]
 
@@ -63,8 +68,9 @@ def fit_theatre(
 ) -> str:
     """Fit detector, odds, gate, background and detection performance, and write a configuration that names them.
 
-    A file that the folder holds is not made again, so that an interrupted run goes on. Returns tables of how all this
-    does beside what ships.
+    With PyTorch a network is trained for the theatre, too; without, the one that ships is weighed. A file that the
+    folder holds is not made again, so that an interrupted run goes on. Returns tables of how all this does beside what
+    ships.
 
     Parameters
     ----------
@@ -94,9 +100,10 @@ def fit_theatre(
     for step in _steps(train, farm):
         place = folder.absolute() / step.file
         if not place.exists():
-            with watched(step.key) as show:
+            with watched(step.key or "network") as show:
                 step.fit(theatre, place, show)
-        files[step.key] = str(place)
+        if step.key is not None:
+            files[step.key] = str(place)
         theatre = shipped.with_files(**files)
     write_file(folder / CONFIG, config_yaml(with_files(on_grid(config, theatre.sonars[0]), **files)).encode())
     with watched("judging") as show:
@@ -104,10 +111,15 @@ def fit_theatre(
 
 
 def _steps(train: Callable[[Path], None], farm: Farm) -> Iterator[Step]:
+    def network(theatre: Theatre, out: Path, show: Show) -> None:
+        own_network(theatre.before_odds(), out, farm, show)
+
     def odds(theatre: Theatre, out: Path, show: Show) -> None:
+        place = out.with_name(FILE)
+        own = parse_network(read_regular(place), str(place)) if place.exists() else None
         with redirect_stdout(sys.stderr):
             missions = Missions(n_seeds=_n_seeds("odds", theatre), theatre=theatre.before_odds())
-            fit_from_missions(out, missions, out.with_name("looks"), farm.workers, show)
+            fit_from_missions(out, missions, out.with_name("looks"), farm.workers, show, own)
 
     def gate(theatre: Theatre, out: Path, show: Show) -> None:
         seeds = range(GATE_SEED, GATE_SEED + _n_seeds("gate", theatre))
@@ -124,6 +136,8 @@ def _steps(train: Callable[[Path], None], farm: Farm) -> Iterator[Step]:
         write_file(out, json_lines(fit_performance(looks, words), "deterministic"))
 
     yield Step("model", "model.json", lambda theatre, out, show: train(out))
+    if can_train():
+        yield Step(None, FILE, network)
     yield Step("odds", "odds.json", odds)
     yield Step("gate", "gate.json", gate)
     yield Step("background", "background.json", background)

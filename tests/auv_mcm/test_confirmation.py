@@ -16,7 +16,7 @@ from auv_mcm.classify.chips import chip_of, chips_beside
 from auv_mcm.classify.odds import shipped_odds
 from auv_mcm.classify.size_evidence import size_evidence
 from auv_mcm.classify.targets import NOT_LISTED, parse_targets
-from auv_mcm.classify.verifier import mean_scores, opinions_of, shipped_network
+from auv_mcm.classify.verifier import mean_scores, network_of, opinions_of
 from auv_mcm.confirm.region import HIGHLIGHT, SHADOW, Region
 from auv_mcm.confirm.snake import RegionContext, converge_on, survey
 from auv_mcm.confirm.speckle import grain_area
@@ -185,7 +185,7 @@ def test_detections_passed_over_keep_the_detectors_odds_and_say_why(cylinder: De
 def test_the_network_is_asked_again_where_a_mine_is_not_improbable(cylinder: Detection) -> None:
     odds = msgspec.structs.replace(shipped_odds("contrast"), verifier=shipped_odds("cascade").verifier)
     assert odds.verifier is not None
-    network, other_nats = shipped_network(odds.verifier.digest), odds.verifier.other_nats
+    network, other_nats = network_of(odds.verifier.digest), odds.verifier.other_nats
     looks = [cylinder, detection_in(bare_floor(7))]
     seen, bare = (region_of(look, look.surroundings, BEAM_RAD) for look in looks if look.surroundings)
     once = network.scores([chip_of(seen), chip_of(bare)])

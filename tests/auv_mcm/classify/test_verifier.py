@@ -1,22 +1,27 @@
 """Tests of the network that separates mines from other objects and floor."""
 
+from hashlib import sha256
+from pathlib import Path
+
 import cv2
+import msgspec
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from auv_mcm.classify.chips import N_COLUMNS, N_HEIGHTS, N_PLACE, N_ROWS, Chip
-from auv_mcm.classify.odds import Verification, shipped_odds
+from auv_mcm.classify.odds import MineOdds, Verification, configured_odds, shipped_odds
 from auv_mcm.classify.verifier import (
     CLASSES,
     FILE,
     mean_scores,
+    network_of,
     opinions_of,
     parse_network,
     rest_ratio,
-    shipped_network,
 )
 from auv_mcm.errors import BadInputError
+from auv_mcm.settings.config import parse_config
 from tests.auv_mcm.classify.slow_network import slow_scores, weights_of
 
 BOUND = 2e-3  # nats that another platform's arithmetic may move a score, and the slow oracle's in float64
@@ -53,11 +58,11 @@ def test_the_shipped_file_is_small() -> None:
 def test_scores_are_those_of_its_layers() -> None:
     seen = chips(2)
     expected = slow_scores(weights_of(shipped_bytes()), seen)
-    np.testing.assert_allclose(shipped_network(digest()).scores(seen), expected, atol=BOUND)
+    np.testing.assert_allclose(network_of(digest()).scores(seen), expected, atol=BOUND)
 
 
 def test_a_chip_has_the_same_scores_alone_among_others_and_on_any_number_of_threads() -> None:
-    network, seen = shipped_network(digest()), chips(70)
+    network, seen = network_of(digest()), chips(70)
     together = network.scores(seen)
     n_threads = cv2.getNumThreads()
     try:
@@ -90,6 +95,33 @@ def test_a_damaged_file_is_refused(damage: str) -> None:
 def test_what_is_no_network_is_refused(data: bytes) -> None:
     with pytest.raises(BadInputError, match=r"a\.onnx: no network"):
         parse_network(data, "a.onnx")
+
+
+def configured(folder: Path, digest: str) -> MineOdds:
+    """Odds of one's own, with a network in the same folder."""
+    odds = shipped_odds("cascade")
+    weighed = msgspec.structs.replace(odds.verifier, file=FILE, digest=digest)  # type: ignore[type-var]
+    own = msgspec.structs.replace(odds, verifier=weighed, fitted_for="cascade")
+    (folder / "odds.json").write_bytes(msgspec.json.encode(own))
+    place = str(folder / "odds.json")
+    text = f"detect: {{gate: none}}\nconfirm: {{odds: {place!r}}}\ncontacts: {{background: none}}"
+    return configured_odds(parse_config(text, "own.yaml"), "cascade")
+
+
+def test_odds_of_one_s_own_bring_their_network_along(tmp_path: Path) -> None:
+    data = shipped_bytes() + b"\xf8\x07\x01"  # a field that nobody reads
+    (tmp_path / FILE).write_bytes(data)
+    found = configured(tmp_path, sha256(data).hexdigest()).verifier
+    assert found is not None
+    assert found.file == str(tmp_path / FILE)
+    np.testing.assert_array_equal(
+        network_of(found.digest, found.file).scores(chips(2)), network_of(digest()).scores(chips(2))
+    )
+    with pytest.raises(BadInputError, match=r"verifier\.onnx: SHA-256"):
+        configured(tmp_path, digest())
+    (tmp_path / FILE).unlink()
+    with pytest.raises(BadInputError, match=r"verifier\.onnx: No such file.* Put the network of these odds there"):
+        configured(tmp_path, "0" * 64)
 
 
 def scores_of(*probabilities: float) -> NDArray[np.float64]:

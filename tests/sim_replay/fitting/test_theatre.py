@@ -6,6 +6,7 @@ import json
 import re
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ import numpy as np
 import pytest
 
 from auv_mcm.classify.odds import shipped_odds
-from auv_mcm.classify.verifier import CLASSES
+from auv_mcm.classify.verifier import CLASSES, FILE
 from auv_mcm.clearance.detection_performance import shipped_performance
 from auv_mcm.cli import main
 from auv_mcm.contacts.background import shipped_background
@@ -134,10 +135,17 @@ def test_each_step_goes_by_the_files_before_it_and_an_interrupted_run_goes_on(
         seen[step] = [Path(name).name for name in (detect.model, own[0], detect.gate, own[1])]
         return found
 
-    def odds(out: Path, missions: calibrate_odds.Missions, *_: object) -> None:
+    def network(one: Theatre, out: Path, *_: object) -> None:
+        note("network", one)
+        out.write_bytes(resources.files("auv_mcm.classify").joinpath(FILE).read_bytes())
+
+    def odds(out: Path, missions: calibrate_odds.Missions, *others: Any) -> None:
         note("odds", missions.theatre)
+        assert others[-1].digest == shipped_odds("cascade").verifier.digest  # type: ignore[union-attr]  # the own one
         out.write_bytes(written(msgspec.structs.replace(shipped_odds("cascade"), fitted_for="cascade")))
 
+    monkeypatch.setattr(fit_theatre, "can_train", lambda: True)
+    monkeypatch.setattr(fit_theatre, "own_network", network)
     monkeypatch.setattr(fit_theatre, "fit_from_missions", odds)
     monkeypatch.setattr(fit_theatre, "calibrate_gate", lambda *a: note("gate", a[-1], shipped_gate()))
     monkeypatch.setattr(fit_theatre, "calibrate_background", lambda *a: note("background", a[-1], shipped_background()))
@@ -151,6 +159,7 @@ def test_each_step_goes_by_the_files_before_it_and_an_interrupted_run_goes_on(
     farm, train = Farm(1), lambda out: out.write_bytes(encode_model(shipped_model()))
     said = fit_theatre.fit_theatre(theatre, vehicle, b"a", folder, train, farm, watched)
     assert seen == {
+        "network": ["model.json", "shipped", "none", "shipped"],
         "odds": ["model.json", "shipped", "none", "shipped"],
         "gate": ["model.json", "odds.json", "shipped", "shipped"],
         "background": ["model.json", "odds.json", "gate.json", "shipped"],

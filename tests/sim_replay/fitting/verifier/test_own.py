@@ -1,0 +1,58 @@
+"""The network of a theatre: flown over its own scenes, densely, and not trained on too little."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from auv_mcm.classify.chips import N_COLUMNS, N_HEIGHTS, N_PLACE, N_ROWS
+from auv_mcm.classify.verifier import CLASSES
+from sim_replay.fitting.cascade.farm import Farm
+from sim_replay.fitting.looks import LookTask
+from sim_replay.fitting.theatre import Theatre
+from sim_replay.fitting.verifier import own
+from sim_replay.fitting.verifier.train import ChipTable
+
+THEATRE = Theatre(scenes=("flat", "ripple"), lines=(("train", "line"), ("test", "other")))
+
+
+def chips_with(n_each: int) -> ChipTable:
+    label = np.repeat(np.arange(len(CLASSES), dtype=np.int8), n_each)
+    metres, heights = (np.zeros((len(label), N_ROWS, n), dtype=np.float16) for n in (N_COLUMNS, N_HEIGHTS))
+    return ChipTable(metres, heights, np.zeros((len(label), N_PLACE), dtype=np.float32), label)
+
+
+@pytest.mark.parametrize(("n_each", "is_written"), [(100, False), (500, True)])
+def test_a_network_is_trained_on_own_missions_where_they_show_enough(
+    n_each: int, is_written: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    flown: list[LookTask] = []
+    given: list[Any] = []
+
+    def fly_all(tasks: list[LookTask], folder: Path, *_: object) -> list[Path]:
+        flown.extend(tasks)
+        assert folder == tmp_path / "looks" / "network"
+        return []
+
+    def train(chips: ChipTable, *_: object) -> str:
+        given.append(chips)
+        return "a network"
+
+    chips = chips_with(n_each)
+    monkeypatch.setattr(own, "fly_all", fly_all)
+    monkeypatch.setattr(own, "chips_of", lambda places: chips)
+    monkeypatch.setattr(own, "train", train)
+    monkeypatch.setattr(own, "written_as_onnx", lambda network: f"{network}, written".encode())
+    out = tmp_path / "verifier.onnx"
+    own.own_network(THEATRE, out, Farm(1), lambda done, of: None)
+    assert len(flown) == 65, "32 of either scene, and the line to train on"
+    assert {(task.source, task.times) for task in flown} == {("flat", 5), ("ripple", 5), ("line", 1)}
+    assert all(task.theatre == THEATRE for task in flown)
+    assert out.exists() == is_written
+    if is_written:
+        assert (given, out.read_bytes()) == ([chips], b"a network, written")
+    else:
+        assert "500 mines, 100 other objects and 100 places of sea floor are too few" in capsys.readouterr().err
