@@ -91,7 +91,7 @@ class Burst:
                 time_utc_s=time_utc_s,
                 **fix_fields,
                 **self._sigma,
-            ),
+            )
         ]
 
 

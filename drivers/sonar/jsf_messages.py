@@ -173,9 +173,7 @@ class SideScanHeader(NamedTuple):
         return 86_400.0 * days + 3600.0 * self.hour + 60.0 * self.minute + self.second + milliseconds
 
 
-DATA_HEADER: Final = Struct(
-    "<iII4x3H6xhHxxh2h4xff24xfiih24sHIHh2xHHHiiHHiff5hhhhHhh4xhH6xhh4xIH4x6s4xH4xhf4xH2x",
-)
+DATA_HEADER: Final = Struct("<iII4x3H6xhHxxh2h4xff24xfiih24sHIHh2xHHHiiHHiff5hhhhHhh4xhH6xhh4xIH4x6s4xH4xhf4xH2x")
 DATA_HEADER_BYTES: Final = DATA_HEADER.size
 _FIRST_YEAR, _LAST_YEAR = 1980, 2200  # of dates: what is outside was never set, or is damage
 _EPOCH_DAYS: Final = date(1970, 1, 1).toordinal()

@@ -123,8 +123,7 @@ def test_a_wrong_rate_is_reported_once_and_its_end_too() -> None:
     assert reported_codes(events, "gnss") == ["port_unreadable", "port_readable"]
     (text,) = [event.text for event in events if isinstance(event, Notice) and event.code == "port_unreadable"]
     assert re.search(
-        r"\d+ bytes in 2\.\d s held no message of 'nmea0183'.*same rate, here 115200 baud.*serial:///dev/ttyS0",
-        text,
+        r"\d+ bytes in 2\.\d s held no message of 'nmea0183'.*same rate, here 115200 baud.*serial:///dev/ttyS0", text
     )
     assert intake.counters["port.gnss.nmea.messages"] == 150
 

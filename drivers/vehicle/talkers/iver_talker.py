@@ -14,15 +14,7 @@ from auv_mcm.clock import Stamp
 from auv_mcm.settings.vehicle_settings import IverSettings
 from drivers.navigation.sentences import KNOT_MPS
 from drivers.vehicle.ascii_fields import FOOT_M
-from drivers.vehicle.dialect import (
-    Capability,
-    ContactReport,
-    ReportedState,
-    Steer,
-    VehicleEvent,
-    Vertical,
-    WireCommand,
-)
+from drivers.vehicle.dialect import Capability, ContactReport, ReportedState, Steer, VehicleEvent, Vertical, WireCommand
 from drivers.vehicle.iver_sentences import (
     METRES_SINCE,
     IverContact,

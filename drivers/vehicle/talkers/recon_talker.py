@@ -13,15 +13,7 @@ from typing import Any, Final
 
 from auv_mcm.clock import Stamp
 from auv_mcm.settings.vehicle_settings import ReconSettings
-from drivers.vehicle.dialect import (
-    Capability,
-    ContactReport,
-    ReportedState,
-    Steer,
-    VehicleEvent,
-    Vertical,
-    WireCommand,
-)
+from drivers.vehicle.dialect import Capability, ContactReport, ReportedState, Steer, VehicleEvent, Vertical, WireCommand
 from drivers.vehicle.recon_sentences import (
     ReconAlive,
     ReconContact,

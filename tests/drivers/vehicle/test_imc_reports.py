@@ -18,25 +18,9 @@ from drivers.vehicle.dialect import (
     VehicleEvent,
 )
 from drivers.vehicle.imc_contact import imc_contact_of
-from drivers.vehicle.imc_messages import (
-    EntityStatus,
-    ImcMessage,
-    Proximity,
-    RefState,
-    ZUnits,
-)
+from drivers.vehicle.imc_messages import EntityStatus, ImcMessage, Proximity, RefState, ZUnits
 from drivers.vehicle.imc_wire import ANYONE, packed
-from tests.drivers.vehicle.imc_talk import (
-    GOAL,
-    LEARNS,
-    OTHER,
-    UTC_S,
-    VEHICLE,
-    Talk,
-    estimated,
-    follow_state,
-    stamp_at,
-)
+from tests.drivers.vehicle.imc_talk import GOAL, LEARNS, OTHER, UTC_S, VEHICLE, Talk, estimated, follow_state, stamp_at
 from tests.make.records import report_of
 from tests.sim_replay.conversation import Conversation
 

@@ -13,14 +13,7 @@ from auv_mcm.records import NAN
 from auv_mcm.settings.vehicle_settings import ImcSettings
 from drivers.framing import Framer
 from drivers.vehicle import imc_messages as imc
-from drivers.vehicle.dialect import (
-    Doubted,
-    Granted,
-    PlaceReached,
-    Steer,
-    VehicleEvent,
-    Withheld,
-)
+from drivers.vehicle.dialect import Doubted, Granted, PlaceReached, Steer, VehicleEvent, Withheld
 from drivers.vehicle.imc_codec import decode
 from drivers.vehicle.imc_messages import (
     ImcMessage,

@@ -11,15 +11,7 @@ from hypothesis import strategies as st
 
 from auv_mcm.clock import Stamp
 from auv_mcm.settings.vehicle_settings import BluefinSettings, CanSettings, ImcSettings, IverSettings, ReconSettings
-from drivers.vehicle.dialect import (
-    GoTo,
-    Granted,
-    PayloadHealth,
-    Steer,
-    VehicleEvent,
-    Vertical,
-    Withheld,
-)
+from drivers.vehicle.dialect import GoTo, Granted, PayloadHealth, Steer, VehicleEvent, Vertical, Withheld
 from sim_replay.fakes.vehicles.bluefin import FakeBluefin
 from sim_replay.fakes.vehicles.can import FakeCan
 from sim_replay.fakes.vehicles.imc import FakeImc
