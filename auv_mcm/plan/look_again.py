@@ -311,7 +311,7 @@ class LookAgain:
         if not leg.contact_id:
             self._flown.append(leg.ends_deg)
             return
-        looks = self._looks[leg.contact_id]
+        looks = self._looks.setdefault(leg.contact_id, _Looks())  # a plan may pass contacts that are not reported
         looks.n_flown, looks.n_vain, looks.flown_s = looks.n_flown + 1, looks.n_vain + 1, now_s
         if looks.is_given_up:
             text = f"{leg.contact_id} was looked at again {looks.n_flown} times and is not requested any more"

@@ -227,15 +227,16 @@ def test_a_leg_that_takes_longer_than_a_plan_lasts_is_requested_once_more_withou
     assert mission.look_again.insist(mission.now_s) is None
 
 
-def test_a_leg_under_way_when_all_track_is_sailed_counts_and_the_vehicle_may_go_on() -> None:
-    mission = Mission([contact(1, 40.0, 40.0)])
-    mission.be_at(0.0, 0.0)
-    (leg,) = legs(mission.plan())
+@pytest.mark.parametrize("is_reported", [True, False])  # it is not below contacts.min_p_mine
+def test_a_leg_counts_where_all_track_is_sailed_behind_its_middle(is_reported: bool) -> None:
+    mission = Mission([contact(1, 40.0, 40.0)] * is_reported)
+    request = PlanRequest(*HERE, frozenset())
+    mission.look_again.take(propose([contact(1, 40.0, 40.0)], request, CONFIG.plan, CONFIG.vehicle), mission.now_s)
+    mission.fly(*legs(mission.look_again.plan)[0], upto=0.7)
     mission.look_again.go_on(mission.look_again.so_far()._replace(sailed_m=CONFIG.plan.max_track_m))
-    mission.fly(*leg, upto=0.7)
     assert mission.look_again.insist(mission.now_s) == ()
-    mission.be_at(0.0, 0.0)
-    assert mission.look_again.so_far().looks == (("C00001", 0, 1, 1),)
+    mission.be_at(0.0, 0.0, commanding=False)
+    assert [n_flown for *_, n_flown, _ in mission.look_again.so_far().looks] == [1]
 
 
 def test_when_all_track_is_sailed_the_plan_is_withdrawn_which_is_reported_once() -> None:
