@@ -70,9 +70,10 @@ _HARMLESS: Final = frozenset(BY_RECORD[kind].number for kind in (PayloadStatus, 
 class _Report(msgspec.Struct):
     """Hold a report that is not answered yet.
 
-    frames: without their sequence number. n_sent: how often; due_s: when it goes out again.
+    contact: its number. frames: without their sequence number. n_sent: how often; due_s: when it goes out again.
     """
 
+    contact: int
     message_crc: int
     frames: list[CanFrame]
     n_sent: int
@@ -189,6 +190,9 @@ class CanTalker:
             self._own[f"{_NAME}.commands_unsayable"] += 1
 
     def report(self, report: ContactReport, ticket: int, now_s: float) -> None:
+        superseded = [other for other, waiting in self._link.reports.items() if waiting.contact == report.number]
+        for other in superseded:
+            del self._link.reports[other]
         try:
             frames = encode(report_message(report, ticket), self._address)
         except ValueError as error:
@@ -197,7 +201,7 @@ class CanTalker:
             self._link.waiting.append(Rejected(ticket, f"cannot be encoded on a CAN bus: {error}"))
             return
         crc = int.from_bytes(frames[-1].data[-4:], "little") & _CRC_PART
-        self._link.reports[ticket] = _Report(crc, frames, 0, now_s)
+        self._link.reports[ticket] = _Report(report.number, crc, frames, 0, now_s)
 
     def report_health(self, health: PayloadHealth, now_s: float) -> None:
         if health.state != self._health.state:

@@ -216,6 +216,7 @@ class ImcTalker:
         if not self._settings.acknowledges:
             return
         contact = imc_contact_of(report)
+        self._pending = {key: waiting for key, waiting in self._pending.items() if key[1] != contact.number}
         self._pending[contact.session, contact.number, contact.revision] = _Pending(
             ticket, contact, now_s, _REPORT_AGAIN_S
         )

@@ -314,6 +314,14 @@ def test_many_reports_go_out_one_after_the_other_the_new_ones_first() -> None:
     assert sent[:31] == [*range(1, 31), 99]
 
 
+def test_a_report_takes_the_place_of_the_one_before_of_its_contact() -> None:
+    bench = Bench()
+    for revision in (1, 2):
+        bench.dialect.report(msgspec.structs.replace(REPORT, revision=revision), revision, 0.0)
+    sent = [record for tick in range(300) for record in bench.take(0.1 * tick) if isinstance(record, ReportMessage)]
+    assert {(record.revision, record.ticket) for record in sent} == {(2, 2)}
+
+
 def test_a_report_that_cannot_be_sent_is_rejected() -> None:
     bench = Bench()
     bench.dialect.report(msgspec.structs.replace(REPORT, latitude_deg=91.0), 7, 0.0)

@@ -148,7 +148,9 @@ def test_contacts_are_reported_in_full_until_they_are_acknowledged() -> None:
     again = talk.sent_of(imc.MineContact, 60.0)
     assert {message.number for message in again} == {4}
     assert 4 <= len(again) <= 6, "less and less often"
-    assert talk.hear(imc.MineContactTaken(77, 4, 1, 0, "too far")) == [Rejected(10, "too far")]
+    talk.dialect.report(report_of(number=4, revision=2), 11, talk.now_s)
+    assert {message.revision for message in talk.sent_of(imc.MineContact, 60.0)} == {2}, "the one before is superseded"
+    assert talk.hear(imc.MineContactTaken(77, 4, 2, 0, "too far")) == [Rejected(11, "too far")]
     assert talk.sent_of(imc.MineContact, 60.0) == []
 
 

@@ -62,6 +62,7 @@ def test_contacts_and_health_arrive_once() -> None:
     assert (report.session, report.number, report.revision, report.classification) == (77, 3, 1, "sphere")
     assert report.belief["sphere"] == 0.75
     loop.dialect.report(report_of(), 5, loop.now_s)
+    loop.run(1.0)
     loop.dialect.report(report_of(revision=2), 6, loop.now_s)
     assert loop.run(1.0).of(Acknowledged)[1:] == [Acknowledged(5), Acknowledged(6)]
     assert [report.revision for report in loop.vehicle.take_reports()] == [2]
