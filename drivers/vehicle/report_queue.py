@@ -29,8 +29,8 @@ _REPEAT_S: Final = (
     30.0  # without an answer on a link that stays up: the dialect's own repetitions have ended, or the answer was lost
 )
 _REVISIONS_PER_START: Final = 256
-"""Revisions that one run of a session may send of a contact before the next run's begin; 16 bits hold those of 256
-runs."""
+"""Revisions that one run of a session may send of a contact before the next run's begin."""
+_MAX_STARTS: Final = 255  # runs whose revisions 16 bits hold
 _MAX_TICKET: Final = 65_535  # 16 bits on the bus; 0 stands for none
 
 
@@ -85,15 +85,16 @@ class ReportQueue:
         """Go on with a session that other runs began; called before the first contact.
 
         What they sent is not known for certain. So each contact comes again under its number, with a revision above all
-        that they can have sent.
+        that they can have sent. After 255 runs revisions begin anew, with the next number of a session.
 
         Parameters
         ----------
         n_starts
             Runs of the session before this one.
         """
-        self._session = session
-        self._first_revision = n_starts * _REVISIONS_PER_START
+        n_rounds, n_before = divmod(n_starts, _MAX_STARTS)
+        self._session = session + n_rounds
+        self._first_revision = n_before * _REVISIONS_PER_START
 
     @property
     def n_pending(self) -> int:

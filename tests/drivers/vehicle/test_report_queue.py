@@ -281,3 +281,15 @@ def test_after_a_restart_revisions_are_above_all_that_a_run_before_can_have_sent
     queue.add(contact(1, 0.7))
     (due,) = queue.take_due(0.1)
     assert (due.report.session, due.report.number, due.report.revision) == (3, 1, 514)
+
+
+def test_revisions_of_however_many_starts_fit_into_16_bits_and_come_once() -> None:
+    sent = set()
+    for n_starts in range(600):
+        queue = empty_queue()
+        queue.go_on(session=3, n_starts=n_starts)
+        queue.add(contact(1))
+        (due,) = queue.take_due(0.0)
+        assert due.report.revision + 255 <= 0xFFFF
+        sent.add((due.report.session, due.report.revision))
+    assert len(sent) == 600
