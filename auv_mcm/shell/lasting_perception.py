@@ -15,7 +15,7 @@ import asyncio
 import contextlib
 import logging
 from collections import Counter, deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 from itertools import islice
 from typing import Final
@@ -23,7 +23,7 @@ from typing import Final
 from auv_mcm.contacts.record_file import RecordFile
 from auv_mcm.errors import AuvMcmError
 from auv_mcm.plan.look_again import PlanRequest
-from auv_mcm.records import Ping, SourceEvent
+from auv_mcm.records import Contact, Ping, SourceEvent, contact_number
 from auv_mcm.settings.config import Config
 from auv_mcm.shell.checkpoint import Keeping, commit_checkpoint
 from auv_mcm.shell.event_queue import Queued
@@ -93,6 +93,7 @@ class LastingPerception:
         self._refeeding: asyncio.Task[None] | None = None
         self._is_finishing = False
         self._reservations = spool.reservations()
+        self._n_announced = 0  # contacts, by the highest number in an answer
         self._watching: asyncio.Task[None] | None = None
 
     @property
@@ -119,9 +120,10 @@ class LastingPerception:
         return started
 
     def reserve(self, n_contacts: int) -> None:
-        """Number contacts to come behind those announced before. Called before `start`."""
-        self._spool.mark_reserved(self._given + 1, n_contacts)
-        self._reservations[self._given + 1] = n_contacts
+        """Number contacts to come behind those announced before. Called before a process is started."""
+        self._n_announced = max(self._n_announced, n_contacts)
+        self._spool.mark_reserved(self._given + 1, self._n_announced)
+        self._reservations[self._given + 1] = self._n_announced
 
     async def feed(self, queued: Queued, room: float = 1.0, *, is_patient: bool = False) -> None:
         """Hand one event of the spool to the process, waiting for space.
@@ -186,6 +188,8 @@ class LastingPerception:
             self._answered_here = number
             if number > self._answered:
                 self._answered = number
+                new = [contact_number(event.id) for event in answer.events if isinstance(event, Contact)]
+                self._n_announced = max([self._n_announced, *new])
                 return answer._replace(number=number)
 
     def close(self) -> None:
@@ -197,9 +201,7 @@ class LastingPerception:
 
     async def _hand(self, perception: Perception, spooled: Spooled) -> None:
         """Hand an event over. One that meets a dead process is fed to the next."""
-        for before, n_contacts in self._reservations.items():
-            if self._handed < before <= spooled.number:
-                perception.reserve(n_contacts)
+        self._leave_numbers_out(perception, spooled.number)
         while self._pings_behind and self._pings_behind[0] <= spooled.number:
             self._pings_behind.popleft()
         self._awaited.append(spooled.number)
@@ -217,11 +219,16 @@ class LastingPerception:
             self._handed_first = spooled.number
             self._on_handed(spooled.event)
 
+    def _leave_numbers_out(self, perception: Perception, number: int) -> None:
+        """Reserve what is to be reserved before event `number`."""
+        for before, n_contacts in self._reservations.items():
+            if self._handed < before <= number:
+                perception.reserve(n_contacts)
+
     async def _finish(self, perception: Perception) -> None:
-        try:
+        self._leave_numbers_out(perception, self._given + 1)
+        with contextlib.suppress(AuvMcmError):  # as in `_hand`
             await perception.finish()
-        except AuvMcmError:
-            return  # as in `_hand`
 
     async def _replace(self, error: PerceptionError) -> None:
         """Start another process in place of one that ended. Raises PerceptionError where that is of no use."""
@@ -237,6 +244,8 @@ class LastingPerception:
         log.warning("%s It is started again and goes on from its last checkpoint.", error)
         self._perception = self._make()
         self._awaited.clear()
+        if self._spool.n_lost:  # it is not fed all that those announced came of
+            self.reserve(self._n_announced)
         started = await self._perception.start()
         log.info("perception runs again: it is fed anew from event %d of %d", started.number + 1, self._given)
         self._go_on(started)
@@ -251,7 +260,7 @@ class LastingPerception:
         while self._handed < (until := self._given):
             await asyncio.to_thread(self._spool.flush)
             entries = self._spool.read(self._handed, until)
-            while batch := await asyncio.to_thread(_next, entries):
+            while batch := await asyncio.to_thread(list, islice(entries, _READ_AT_ONCE)):
                 for spooled in batch:
                     with contextlib.suppress(ValueError):  # a ping too large, which was reported when it came
                         await self._hand(perception, spooled)
@@ -288,7 +297,3 @@ class LastingPerception:
                     self._perception.kill()
                     now = None
             last = now
-
-
-def _next(entries: Iterator[Spooled]) -> list[Spooled]:
-    return list(islice(entries, _READ_AT_ONCE))

@@ -45,6 +45,18 @@ def test_a_mission_whose_perception_ends_on_the_way_gives_the_same_as_one_undist
     assert not (results / "state").exists()
 
 
+def test_contacts_after_events_that_the_disk_did_not_take_have_numbers_of_their_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(path: Path) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setenv("FAILED_ONCE", str(tmp_path / "failed"))
+    monkeypatch.setattr("auv_mcm.shell.event_spool.open_new", full)
+    results = serve(tmp_path / "out", Events(mission(30)), fake.DyingOnce)
+    assert summary(results)["counters"]["fake.reserved"] == 3
+
+
 class Paced(Events):
     """Gives a few events, and once perception has failed the others, over more time than a process takes to start."""
 
