@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 import msgspec
 
 from auv_mcm.contacts.contact import sigma_m
-from auv_mcm.records import Contact, report_number
+from auv_mcm.records import EARLY_NUMBERS, Contact, report_number
 from drivers.vehicle.dialect import ContactReport
 
 MAX_CONTACTS: Final = 10_000
@@ -80,6 +80,7 @@ class ReportQueue:
         self._unacknowledged: dict[int, int] = {}  # contact numbers by ticket
         self._last_ticket = 0
         self._first_revision = 0  # less one
+        self._goes_on = False  # with a session that other runs began
 
     def go_on(self, session: int, n_starts: int) -> None:
         """Go on with a session that other runs began; called before the first contact.
@@ -95,6 +96,7 @@ class ReportQueue:
         n_rounds, n_before = divmod(n_starts, _MAX_STARTS)
         self._session = session + n_rounds
         self._first_revision = n_before * _REVISIONS_PER_START
+        self._goes_on = n_starts > 0
 
     @property
     def n_pending(self) -> int:
@@ -108,15 +110,18 @@ class ReportQueue:
         if not math.isfinite(report.latitude_deg + report.longitude_deg):
             self.counters["vehicle.reports_without_place"] += 1
             return
+        # A run before may have reported the early contact that this takes back.
+        takes_back = self._goes_on and report.number > EARLY_NUMBERS and not report.n_views
+        is_wanted = takes_back or report.p_mine >= self._min_p_mine
         if queued is None:
-            if not report.p_mine >= self._min_p_mine:
+            if not is_wanted:
                 return
             if len(self._contacts) >= MAX_CONTACTS:
                 self.counters["vehicle.reports_not_kept"] += 1
                 return
             queued = self._contacts[report.number] = _QueuedContact(report, self._first_revision)
         queued.latest = report
-        if queued.sent is None and not report.p_mine >= self._min_p_mine:
+        if queued.sent is None and not is_wanted:
             del self._contacts[report.number]
             self._pending.pop(report.number, None)
         elif queued.sent is not None and _is_unchanged(report, queued.sent):

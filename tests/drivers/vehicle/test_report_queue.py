@@ -277,7 +277,8 @@ def test_after_a_restart_revisions_are_above_all_that_a_run_before_can_have_sent
     queue.go_on(session=3, n_starts=2)
     queue.add(contact(1, 0.5))
     queue.add(contact(2, 0.6))
-    assert revisions(queue.take_due(0.0)) == [(1, 513), (2, 513)]
+    queue.add(EarlyContact(contact=contact(4, 0.6, id="E00004"), state="withdrawn").reported)  # it was found before
+    assert revisions(queue.take_due(0.0)) == [(1, 513), (2, 513), (1_000_004, 513)]
     queue.add(contact(1, 0.7))
     (due,) = queue.take_due(0.1)
     assert (due.report.session, due.report.number, due.report.revision) == (3, 1, 514)
