@@ -25,16 +25,7 @@ from drivers.vehicle.can_messages import (
     encode,
 )
 from drivers.vehicle.can_translation import command_message
-from drivers.vehicle.dialect import (
-    Acknowledged,
-    GoTo,
-    Granted,
-    ReportedState,
-    Steer,
-    VehicleEvent,
-    Vertical,
-    Withheld,
-)
+from drivers.vehicle.dialect import Acknowledged, GoTo, Granted, ReportedState, Steer, VehicleEvent, Vertical, Withheld
 from sim_replay.fakes.vehicles.can import FakeCan
 from tests.make.records import nav_of, report_of
 from tests.sim_replay.conversation import Conversation

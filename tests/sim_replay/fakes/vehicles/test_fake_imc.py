@@ -14,12 +14,7 @@ from auv_mcm.records import NavSample
 from auv_mcm.settings.vehicle_settings import ImcSettings
 from drivers.framing import Framer
 from drivers.vehicle import imc_messages as imc
-from drivers.vehicle.dialect import (
-    Acknowledged,
-    GoTo,
-    PayloadHealth,
-    Vertical,
-)
+from drivers.vehicle.dialect import Acknowledged, GoTo, PayloadHealth, Vertical
 from drivers.vehicle.imc_codec import LAYOUTS, decode
 from drivers.vehicle.imc_contact import imc_contact_of
 from drivers.vehicle.imc_messages import ImcMessage, OpMode, PlanOp, PlanState, PlanType, Proximity, RefFlag, RefState
