@@ -74,7 +74,7 @@ def open_session(parent: Path, config: Config, clock: Clock, *, may_resume: bool
     may_resume
         Go on with a session where the configuration allows it.
 
-    Raises UsageError for a folder that holds a thousand sessions of this second, and OSError.
+    Raises UsageError for a folder that holds sessions of a thousand seconds from now on, and OSError.
     """
     kind, now_s = session_kind(config), clock.utc_s()
     within_h = config.service.resume_within_h if may_resume else 0.0
@@ -84,8 +84,8 @@ def open_session(parent: Path, config: Config, clock: Clock, *, may_resume: bool
         notice = _resumed(found.folder, memory.n_starts)
         return Session(found.folder, memory, read_announced(found.folder), (notice,))
     unfinished = found or unfinished_session(parent)
-    folder = _new_folder(parent, clock)
-    memory = SessionMemory(kind=kind, started_s=now_s, n_starts=1, elapsed_s=0.0)
+    folder, began_s = _new_folder(parent, now_s)
+    memory = SessionMemory(kind=kind, started_s=began_s, n_starts=1, elapsed_s=0.0)
     return Session(folder, memory, Announced(frozenset(), {}), () if unfinished is None else (unfinished,))
 
 
@@ -97,19 +97,22 @@ def _resumed(folder: Path, n_starts: int) -> Notice:
     return Notice(code="session_resumed", text=text, for_the_record=True)
 
 
-def _new_folder(parent: Path, clock: Clock) -> Path:
-    """Make a new folder per run, so that a restart never overwrites earlier results; `latest` points to it."""
+def _new_folder(parent: Path, now_s: float) -> tuple[Path, float]:
+    """Make a new folder per run, so that a restart never overwrites earlier results; `latest` points to it.
+
+    Return also the time in its name: a clock that nobody sets and that begins anew with the computer names no two
+    sessions alike.
+    """
     make_directory(parent)
-    stamp = datetime.fromtimestamp(clock.utc_s(), UTC).strftime("%Y%m%dT%H%M%SZ")
-    for attempt in range(1, 1000):
-        folder = parent / (f"session-{stamp}" if attempt == 1 else f"session-{stamp}-{attempt}")
+    for began_s in (now_s + second for second in range(1000)):
+        folder = parent / datetime.fromtimestamp(began_s, UTC).strftime("session-%Y%m%dT%H%M%SZ")
         try:
             folder.mkdir()
         except FileExistsError:
             continue
         _point_latest_to(folder)
-        return folder
-    raise UsageError(f"{parent} holds a thousand sessions of {stamp}: the computer's clock does not run")
+        return folder, began_s
+    raise UsageError(f"{parent} holds a thousand sessions up to {folder.name}: the computer's clock does not run")
 
 
 def _point_latest_to(folder: Path) -> None:

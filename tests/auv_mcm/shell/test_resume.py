@@ -18,8 +18,10 @@ from auv_mcm.records import SourceEvent
 from auv_mcm.settings.config import Config, ServiceConfig
 from auv_mcm.shell.perception_chain import MakePipeline
 from auv_mcm.shell.service import Service
+from auv_mcm.shell.session import open_session
 from tests.auv_mcm.shell import fake_pipelines as fake
 from tests.auv_mcm.shell.service_runs import Ports, ids, journal, summary
+from tests.manual_clock import ManualClock
 
 
 class Run(NamedTuple):
@@ -189,3 +191,10 @@ def test_a_stop_that_comes_before_all_is_worked_off_leaves_the_rest_to_the_next_
     assert ids(folder) == journal(folder) == EXPECTED[:4]
     assert "The next start goes on with the session" in said[-1]
     assert ids(serve(tmp_path, events(12, 24)).folder) == EXPECTED
+
+
+def test_sessions_that_begin_as_a_clock_shows_the_same_have_numbers_of_their_own(tmp_path: Path) -> None:
+    """The vehicle would take contacts of the second session for those of the first."""
+    sessions = [open_session(tmp_path, Config(), ManualClock(), may_resume=False) for _ in range(3)]
+    assert len({int(session.memory.started_s) for session in sessions}) == len({each.folder for each in sessions}) == 3
+    assert (tmp_path / "latest").resolve() == sessions[-1].folder
