@@ -105,14 +105,14 @@ class UtcReference:
         return [notice for notice in notices if notice is not None]
 
     def _rolled_over(self, time_utc_s: float, mono_ns: int, unit: PortSettings) -> Notice | None:
-        """Find, at the first reading, how many times 1024 weeks the unit is back."""
+        """Find, at the first reading and where the date leaps, how many times 1024 weeks the unit is back."""
         if self._n_epochs is not None:
             return None
         own_s = max((mono_ns + self._own_offset_ns) * 1e-9, _RELEASED_S)
         self._n_epochs = min(max(round((own_s - time_utc_s) / _EPOCH_S), 0), _MAX_EPOCHS)
+        self._own["epochs_added"] = self._n_epochs
         if not self._n_epochs:
             return None
-        self._own["epochs_added"] = self._n_epochs
         text = (
             f"the date of '{unit.name}' is {self._n_epochs * 1024} weeks back, as of a receiver that missed a turn of "
             "the GPS week: they are added, to come nearest to this computer's clock. Check that clock, and the "
@@ -126,6 +126,8 @@ class UtcReference:
         self._before_ns = offset_ns
         if not any(abs(offset_ns - known_ns) <= _AGREE_NS for known_ns in known):
             return False
+        if self._agreed_ns is not None and abs(offset_ns - self._agreed_ns) > _EPOCH_S * 500_000_000:
+            self._n_epochs = None  # a receiver that starts shows any date until it has found its own
         self._agreed_ns = offset_ns
         return True
 

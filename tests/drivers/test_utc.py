@@ -133,6 +133,14 @@ def test_a_unit_whose_utc_steps_for_good_is_followed_and_reported() -> None:
     assert is_close(ahead_of(events, TIMES_S)[-1], AHEAD_S - 18.0, 0.02)
 
 
+def test_the_date_of_a_receiver_that_has_not_found_its_own_yet_adds_no_weeks_to_it() -> None:
+    """It begins with the day that GPS began."""
+    gnss = [zda_at(float(s), AHEAD_S if s >= 10 else 315_964_800.0 - UTC_S) for s in range(39)]
+    events, _ = taken_in(ZDA, gnss, pings_at(TIMES_S))
+    assert reported(events) == ["utc_rollover", "utc_taken", "utc_stepped"]
+    assert is_close(ahead_of(events, TIMES_S)[-1], AHEAD_S, 0.02)
+
+
 def test_pulses_that_zda_names_give_utc_to_the_microsecond() -> None:
     """The unit sends its ZDA any time from 100 to 300 ms after the pulse; its seconds begin a quarter before this
     computer's."""
