@@ -51,7 +51,7 @@ class Velocity(NamedTuple):
 
 
 class WaterLinkedAttitude(NamedTuple):
-    """Hold wrp. Position is the unit's own dead reckoning from where it was last reset, in its own axes."""
+    """Hold wrp. Position and heading are the unit's own dead reckoning since it was last reset, in the axes of then."""
 
     time_s: float
     x_m: float
@@ -92,14 +92,10 @@ class TextGrammar(Grammar[str]):
 
 
 def fix_fields(record: Record) -> dict[str, Any]:
-    """Return the fields of a fix that a record gives."""
+    """Return the fields of a fix that a record gives; a yaw since the unit was reset is no heading."""
     if isinstance(record, WaterLinkedAttitude):
-        return {
-            "time_utc_s": record.time_s if record.time_s >= _CLOCK_SET_S else None,
-            "heading_rad": record.heading_rad,
-            "pitch_rad": record.pitch_rad,
-            "roll_rad": record.roll_rad,
-        }
+        time_utc_s = record.time_s if record.time_s >= _CLOCK_SET_S else None
+        return {"time_utc_s": time_utc_s, "pitch_rad": record.pitch_rad, "roll_rad": record.roll_rad}
     validity_s = record.validity_us * 1e-6
     fields: dict[str, Any] = {
         "time_utc_s": validity_s if validity_s >= _CLOCK_SET_S else None,

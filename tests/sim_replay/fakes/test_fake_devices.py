@@ -160,7 +160,7 @@ TOLERANCES = {
     "nmea0183": {**POSITION, **ANGLES, "altitude_m": 6e-3, "speed_mps": 1e-3},
     "pixse": {**POSITION, **ANGLES, "depth_m": 1e-3, "speed_mps": 2e-3},
     "pd6": {**ANGLES, "altitude_m": 6e-3, "speed_mps": 2e-3, "depth_m": 0.06},
-    "water_linked": {**ANGLES, "altitude_m": 6e-3, "speed_mps": 1e-3},
+    "water_linked": {"pitch_rad": 1e-4, "roll_rad": 1e-4, "altitude_m": 6e-3, "speed_mps": 1e-3},
     "nmea2000": {**POSITION, **ANGLES, "altitude_m": 6e-3, "speed_mps": 6e-3},
 }
 
