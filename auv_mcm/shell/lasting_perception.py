@@ -43,7 +43,7 @@ _BUSY_S: Final = 120.0
 five times slower, 60 to 120 s."""
 _MAX_ENDS: Final = 2
 """Processes that may end at one event: it is the same for the next one, whatever it is, and no more is tried."""
-_MAX_ENDS_AT_START: Final = 4  # and before the first answer, where chance may have ended one as well
+_MAX_ENDS_AT_START: Final = 4  # and before the first answer or its start, where chance may have ended one as well
 _READ_AT_ONCE: Final = 64  # events read from the spool in one go
 
 
@@ -246,7 +246,11 @@ class LastingPerception:
         self._awaited.clear()
         if self._spool.n_lost:  # it is not fed all that those announced came of
             self.reserve(self._n_announced)
-        started = await self._perception.start()
+        try:
+            started = await self._perception.start()
+        except PerceptionError as another:
+            await self._replace(another)
+            return
         log.info("perception runs again: it is fed anew from event %d of %d", started.number + 1, self._given)
         self._go_on(started)
 

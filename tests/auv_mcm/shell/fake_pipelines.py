@@ -347,6 +347,16 @@ class DyingOnce(_Once):
     """Is killed once."""
 
 
+class DyingOnceAndOnceAtItsStart(_Once):
+    """Is killed once, and the next one before it has started."""
+
+    def __init__(self, config: Config, kept: Contacts) -> None:
+        if os.path.exists(os.environ["FAILED_ONCE"]) and not os.path.exists(mark := os.environ["FAILED_ONCE"] + "-2"):
+            os.mkdir(mark)
+            os.kill(os.getpid(), signal.SIGKILL)
+        super().__init__(config, kept)
+
+
 class HangingOnce(_Once):
     """Stops for good, once."""
 

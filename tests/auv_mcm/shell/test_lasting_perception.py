@@ -28,9 +28,12 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Served:
     return served(tmp_path_factory.mktemp("undisturbed"), fake.Base)
 
 
-@pytest.mark.parametrize("make", [fake.DyingOnce, fake.HangingOnce, fake.DyingAtItsEndOnce])
+@pytest.mark.parametrize(
+    ("make", "n_restarts"),
+    [(fake.DyingOnce, 1), (fake.DyingOnceAndOnceAtItsStart, 2), (fake.HangingOnce, 1), (fake.DyingAtItsEndOnce, 1)],
+)
 def test_a_mission_whose_perception_ends_on_the_way_gives_the_same_as_one_undisturbed(
-    make: MakePipeline, undisturbed: Served, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    make: MakePipeline, n_restarts: int, undisturbed: Served, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("FAILED_ONCE", str(tmp_path / "failed"))
     (results, said), (expected, expected_said) = served(tmp_path / "disturbed", make), undisturbed
@@ -39,7 +42,7 @@ def test_a_mission_whose_perception_ends_on_the_way_gives_the_same_as_one_undist
     for file in ("contacts.geojson", "coverage.geojson"):
         assert (results / file).read_bytes() == (expected / file).read_bytes()
     totals = summary(results)
-    assert totals["counters"].pop("perception.restarted") == 1
+    assert totals["counters"].pop("perception.restarted") == n_restarts
     assert totals["counters"] == summary(expected)["counters"]
     assert totals["pings"] == 30
     assert not (results / "state").exists()
