@@ -12,16 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from auv_mcm.solids.shapes import (
-    Box,
-    Cylinder,
-    Shape,
-    SolidView,
-    Sphere,
-    TruncatedCone,
-    Wedge,
-    view_shape,
-)
+from auv_mcm.solids.shapes import Box, Cylinder, Shape, SolidView, Sphere, TruncatedCone, Wedge, view_shape
 
 Array = NDArray[np.float64]
 RIGHT = 0.5 * math.pi
