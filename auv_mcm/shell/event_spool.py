@@ -204,10 +204,11 @@ class EventSpool:
         return path, file
 
     def _remove_files(self, number: int, except_for: Path) -> None:
-        """Remove the files that hold no event behind a number. The last one may hold marks of how others were fed."""
+        """Remove the files that hold no event behind a number, once. The last may hold marks of how others were fed."""
         for path, last in list(self._last_in_file.items()):
             if path != except_for and last <= number:
-                path.unlink(missing_ok=True)
+                with contextlib.suppress(OSError):
+                    path.unlink()
                 del self._last_in_file[path]
 
 

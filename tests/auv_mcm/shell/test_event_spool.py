@@ -103,6 +103,16 @@ def test_files_whose_events_are_no_longer_needed_go(tmp_path: Path) -> None:
         spool.close()
 
 
+def test_a_file_that_cannot_be_removed_ends_nothing(tmp_path: Path) -> None:
+    (tmp_path / "events-000000.bin").mkdir()
+    spool = spooled(tmp_path, EVENTS[:5])
+    spool.forget(0)
+    spool.flush()
+    spool.append(EVENTS[5])
+    spool.close()
+    assert read(tmp_path) == expected(range(1, 7))
+
+
 def test_a_disk_that_takes_nothing_costs_what_is_kept_and_no_event(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
