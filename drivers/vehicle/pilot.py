@@ -187,7 +187,7 @@ class Pilot(Generic[W]):
         """Take the messages in a chunk of bytes, or in a frame, if any. stamp: when it was read."""
         now_s = stamp.mono_ns * 1e-9
         events = self._talker.hear(messages, stamp)
-        if events or any(message.of_vehicle for message in messages):
+        if any(message.of_vehicle for message in messages):
             self._authority.heard(now_s)
         for event in events:
             match event:

@@ -72,8 +72,8 @@ class CanDecoder:
             ):
                 states = [state for fix in fixes for state in self._states(fix)]
                 return [
-                    VehicleMessage(None, stamp, None, fixes),
-                    *(VehicleMessage(None, stamp, state) for state in states),
+                    VehicleMessage(None, stamp, None, fixes, of_vehicle=False),
+                    *(VehicleMessage(None, stamp, state, of_vehicle=False) for state in states),
                 ]
         else:
             self._not_extended["n2k.not_extended"] += 1

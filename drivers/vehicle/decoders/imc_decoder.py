@@ -43,6 +43,7 @@ class ImcDecoder:
         """port: name that fixes carry."""
         self._own_id = settings.source_id
         self._vehicle = settings.vehicle_id or None
+        self._is_named = bool(settings.vehicle_id)
         self._port = port
         self._framer = StampedFramer(ImcGrammar())
         self.bus_counters: Counter[str] = Counter()
@@ -53,7 +54,11 @@ class ImcDecoder:
 
     def feed(self, data: bytes, stamp: Stamp) -> list[VehicleMessage]:
         """Decode a chunk; see `VehicleDecoder.feed`."""
-        return [self._message(packet, received) for packet, received, _ in self._framer.feed(data, stamp)]
+        framed = self._framer.feed(data, stamp)
+        return [self._message(packet, at)._replace(of_vehicle=self._is_of_vehicle(packet)) for packet, at, _ in framed]
+
+    def _is_of_vehicle(self, packet: ImcPacket) -> bool:
+        return packet.source == self._vehicle if self._is_named else packet.source != self._own_id
 
     def _message(self, packet: ImcPacket, received: Stamp) -> VehicleMessage:
         if packet.source == self._own_id:

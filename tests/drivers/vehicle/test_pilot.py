@@ -11,8 +11,11 @@ import numpy as np
 import pytest
 
 from auv_mcm.records import Contact, Waypoint
-from auv_mcm.settings.vehicle_settings import VehicleConfig
+from auv_mcm.settings.vehicle_settings import CanSettings, ImcSettings, VehicleConfig
+from drivers.links.can_frame import CanFrame
+from drivers.navigation import n2k_messages as n2k
 from drivers.navigation.corrections import moved, offset_m
+from drivers.vehicle import imc_messages as imc
 from drivers.vehicle.dialect import (
     Acknowledged,
     Capability,
@@ -27,7 +30,9 @@ from drivers.vehicle.dialect import (
     Vertical,
     Withheld,
 )
+from drivers.vehicle.imc_wire import packed
 from drivers.vehicle.pilot import Pilot
+from drivers.vehicle.vehicles import decoder_of, talker_of
 from tests.drivers.vehicle.test_report_queue import contact as queued_contact
 from tests.drivers.vehicle.vehicle_on_paper import GOES_BY_ITSELF, IS_STEERED, PaperTalker, calls, stamp
 from tests.make.records import waypoint_of
@@ -424,3 +429,15 @@ def test_a_state_reported_in_pieces_is_one_state() -> None:
         sea.hear(ReportedState(whole.received, altitude_m=8.0))
         sea.tick()
     assert sea.pilot.authority == "granted"
+
+
+@pytest.mark.parametrize("name", ["vehicle_can", "imc"])
+def test_others_on_its_wire_do_not_stand_for_a_silent_vehicle(name: str) -> None:
+    given: Any = CanSettings(nmea2000_addresses=(12,)) if name == "vehicle_can" else ImcSettings(vehicle_id=0x1E)
+    pgn, data = n2k.encode(n2k.RapidPosition(*HOME_DEG))
+    frame = CanFrame(n2k.can_id_of(n2k.Identifier(2, pgn, n2k.GLOBAL, 12)), data)
+    item: Any = frame if name == "vehicle_can" else packed(imc.Heartbeat(), 0x2F)
+    pilot = Pilot(talker_of(name, given, lambda _: 0), settings(), session=7)
+    pilot.connected(0.0)
+    pilot.hear(decoder_of(name, given, "vehicle").feed(item, stamp(1.0)), stamp(1.0))
+    assert pilot.authority == "down"
