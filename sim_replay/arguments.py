@@ -59,8 +59,5 @@ def add_line_options(parser: argparse.ArgumentParser, n_draws: int) -> None:
         help="a recorded line to augment, XTF; repeatable",
     )
     parser.add_argument(
-        "--log-seeds",
-        type=count,
-        default=n_draws,
-        help=f"draws of targets per recorded line (default {n_draws})",
+        "--log-seeds", type=count, default=n_draws, help=f"draws of targets per recorded line (default {n_draws})"
     )

@@ -180,28 +180,28 @@ class DetectConfig(_Section, frozen=True, kw_only=True):
         _Choice,
         Meta(
             description="the trained cascade: shipped, none, or the path of a model file; one that was not trained for "
-            "the pixel sizes below is not used, with a notice",
+            "the pixel sizes below is not used, with a notice"
         ),
     ] = "shipped"
     seabed_model: Annotated[
         _Choice,
         Meta(
             description="what kinds of sea floor look like: shipped, or the path of a file that 'auv-mcm calibrate "
-            "seabed' wrote",
+            "seabed' wrote"
         ),
     ] = "shipped"
     performance: Annotated[
         _Choice,
         Meta(
             description="how likely a mine is found where, for clearance and plans: shipped, or the path of a file "
-            "that 'auv-mcm calibrate performance' wrote",
+            "that 'auv-mcm calibrate performance' wrote"
         ),
     ] = "shipped"
     gate: Annotated[
         _Choice,
         Meta(
             description="which places can become contacts and are measured: shipped, none for all, or the path of a "
-            "file that 'auv-mcm calibrate gate' wrote with the odds below",
+            "file that 'auv-mcm calibrate gate' wrote with the odds below"
         ),
     ] = "shipped"
 
@@ -231,14 +231,14 @@ class ConfirmConfig(_Section, frozen=True, kw_only=True):
         Meta(
             description="what measurements say about the odds of a mine, with the background of non-mines that belongs "
             "to it: shipped, or the path of a file that 'auv-mcm calibrate odds' wrote; without --verdicts it needs a "
-            "gate and a background of its own",
+            "gate and a background of its own"
         ),
     ] = "shipped"
     targets: Annotated[
         _Choice,
         Meta(
             description="the mines expected, by kind and size: shipped for any, or the path of a YAML list; a mine on "
-            "no line of the list keeps less of its odds",
+            "no line of the list keeps less of its odds"
         ),
     ] = "shipped"
     min_p_mine: Annotated[
@@ -292,7 +292,7 @@ class ContactsConfig(_Section, frozen=True, kw_only=True):
         _Choice,
         Meta(
             description="how densely non-mines reach each p_mine: shipped, none, or the path of a file that 'auv-mcm "
-            "calibrate background' wrote with the odds configured",
+            "calibrate background' wrote with the odds configured"
         ),
     ] = "shipped"
 
@@ -404,7 +404,7 @@ def _refuse_removed_keys(data: Any, place: str) -> None:
 
 _REMOVED: Final = {
     ("detect", "max_evaluations_per_tile"): "budget.duty now bounds all work on a tile together, and 'auv-mcm "
-    "calibrate budget' measures what this computer affords",
+    "calibrate budget' measures what this computer affords"
 }
 
 

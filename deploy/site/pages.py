@@ -24,13 +24,7 @@ from auv_mcm.skips import SKIPS
 from deploy.site.raised import ROOT, counted_names, notices_by_code, raised_notices
 from drivers.describe import example_text, interface_text
 from sim_replay.benches.every_stage.bench import read_every_stage, stage_history
-from sim_replay.benches.run_time.results import (
-    POINT_HEADER,
-    VERSION_HEADER,
-    point_rows,
-    read_results,
-    version_cells,
-)
+from sim_replay.benches.run_time.results import POINT_HEADER, VERSION_HEADER, point_rows, read_results, version_cells
 from sim_replay.commands.bench import BENCHES, opened
 from sim_replay.report.report_words import MEANINGS
 from sim_replay.text_tables import markdown

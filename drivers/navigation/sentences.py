@@ -393,14 +393,7 @@ SENTENCES: Final[dict[str, Sentence[Any]]] = {
         Sentence(
             "PTNL,AVR",
             Avr,
-            (
-                TIME,
-                named(ANGLE_MILLI, "Yaw"),
-                named(ANGLE_MILLI, "Tilt"),
-                named(ANGLE_MILLI, "Roll"),
-                MILLI,
-                COUNT,
-            ),
+            (TIME, named(ANGLE_MILLI, "Yaw"), named(ANGLE_MILLI, "Tilt"), named(ANGLE_MILLI, "Roll"), MILLI, COUNT),
         ),
         Sentence("PFEC,GPatt", Gpatt, (ANGLE_TENTHS,) * 3),
         Sentence("OHPR", Ohpr, (ANGLE_TENTHS,) * 3),

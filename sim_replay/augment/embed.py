@@ -181,12 +181,7 @@ class _Window(NamedTuple):
 
 
 def _embed_look(
-    window: _Window,
-    survey: Survey,
-    scene_object: PlacedObject,
-    config: Config,
-    seed: int,
-    stream: int,
+    window: _Window, survey: Survey, scene_object: PlacedObject, config: Config, seed: int, stream: int
 ) -> EmbeddedView:
     stretch, side, line, ground_m = window.stretch, window.side, window.line, window.ground_range_m
     trace = stretch.trace(window.ping, side)

@@ -176,13 +176,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
 
 def _reliability_rows(name: str, found: Calibration) -> list[list[str]]:
     return [
-        [
-            name,
-            f"{one.low:g} to {one.high:g}",
-            str(one.on_mines.of),
-            f"{one.mean_p_mine:.3f}",
-            share_cell(one.on_mines),
-        ]
+        [name, f"{one.low:g} to {one.high:g}", str(one.on_mines.of), f"{one.mean_p_mine:.3f}", share_cell(one.on_mines)]
         for one in found.bins
     ]
 

@@ -150,11 +150,7 @@ def png_resealed(data: bytes, random: Random) -> bytes:
     return bytes(out)
 
 
-SEALED: Final[dict[str, Change]] = {
-    ".svlog": svlog_resealed,
-    ".mcap": mcap_unsealed,
-    ".png": png_resealed,
-}
+SEALED: Final[dict[str, Change]] = {".svlog": svlog_resealed, ".mcap": mcap_unsealed, ".png": png_resealed}
 """By the ending of a file's name."""
 
 

@@ -145,10 +145,7 @@ def _beside_zero(path: Path) -> None:
     sidecar_path(path).symlink_to("/dev/zero")
 
 
-_IMAGE: Final = {
-    "a sidecar that is a pipe": Trap(_beside_pipe),
-    "a sidecar that is /dev/zero": Trap(_beside_zero),
-}
+_IMAGE: Final = {"a sidecar that is a pipe": Trap(_beside_pipe), "a sidecar that is /dev/zero": Trap(_beside_zero)}
 
 
 def _tiff_bomb(path: Path) -> None:

@@ -366,10 +366,7 @@ FITS: Final = (
         "fit the look of seabed types",
         "Flies simulated missions over all kinds of sea floor, and fits the odds of each kind to what its texture is. "
         f"Seeds from 4000 on fly missions like the named scenes, lower ones know nothing of them. {_SAME} model.",
-        (
-            "auv-mcm calibrate seabed --out model.json",
-            "auv-mcm calibrate seabed --seeds 3000-3049 --out free.json",
-        ),
+        ("auv-mcm calibrate seabed --out model.json", "auv-mcm calibrate seabed --seeds 3000-3049 --out free.json"),
         _on_farm("3000-3049 and 4000-4079"),
         _run_seabed,
     ),

@@ -30,11 +30,7 @@ _EXAMPLES: Final = [
 def add(commands: Commands) -> None:
     """Add `auv-mcm replay` to the command line."""
     parser = command(
-        commands,
-        "replay",
-        "replay recorded missions and write contacts, maps and a report",
-        _DESCRIPTION,
-        _EXAMPLES,
+        commands, "replay", "replay recorded missions and write contacts, maps and a report", _DESCRIPTION, _EXAMPLES
     )
     parser.add_argument(
         "logs",

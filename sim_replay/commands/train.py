@@ -61,10 +61,7 @@ def add(commands: Commands) -> None:
         ),
     )
     parser.add_argument(
-        "--stumps",
-        metavar="N",
-        type=whole(1, _MAX_COUNT),
-        help="stumps (default: as the model that ships)",
+        "--stumps", metavar="N", type=whole(1, _MAX_COUNT), help="stumps (default: as the model that ships)"
     )
     parser.add_argument(
         "--workers",

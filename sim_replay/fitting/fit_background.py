@@ -195,10 +195,7 @@ def left_out(missions: Sequence[SortedContacts]) -> tuple[LeftOutScene, ...]:
 
 
 def calibrate_background(
-    seeds: Sequence[int],
-    farm: Farm,
-    show: Callable[[int, int], None] = lambda done, of: None,
-    theatre: Theatre = USUAL,
+    seeds: Sequence[int], farm: Farm, show: Callable[[int, int], None] = lambda done, of: None, theatre: Theatre = USUAL
 ) -> BackgroundModel:
     """Fly missions with these seeds through the named scenes that are not held out, and fit the model.
 

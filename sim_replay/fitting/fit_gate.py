@@ -80,10 +80,7 @@ def outcomes_of(task: tuple[str, int, Detector], theatre: Theatre = USUAL) -> li
 
 
 def calibrate_gate(
-    seeds: Sequence[int],
-    farm: Farm,
-    show: Callable[[int, int], None] = lambda done, of: None,
-    theatre: Theatre = USUAL,
+    seeds: Sequence[int], farm: Farm, show: Callable[[int, int], None] = lambda done, of: None, theatre: Theatre = USUAL
 ) -> Gate:
     """Fly missions with these seeds through the named scenes that are not held out, and fit the gate.
 

@@ -23,15 +23,7 @@ from sim_replay.augment.augment_log import TRUTH_NAME
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
 from sim_replay.fitting.cascade.spec import on_grid
 from sim_replay.fitting.cascade.training_images import augmented_truth
-from sim_replay.fitting.fit_odds import (
-    STEPS,
-    LookTable,
-    StepTable,
-    crowded,
-    drawn_scene,
-    examples_along,
-    look_table,
-)
+from sim_replay.fitting.fit_odds import STEPS, LookTable, StepTable, crowded, drawn_scene, examples_along, look_table
 from sim_replay.fitting.recorders import RECORDERS, recorded_by
 from sim_replay.fitting.theatre import USUAL, Theatre
 from sim_replay.flights import Flight, flight_along, flight_through, flight_with_targets

@@ -19,13 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.classify.odds import MineOdds, Recalibration, Tree, Weights
-from auv_mcm.contacts.background import (
-    BIN_NATS,
-    LOWEST_NATS,
-    N_BINS,
-    BackgroundPrior,
-    known_background,
-)
+from auv_mcm.contacts.background import BIN_NATS, LOWEST_NATS, N_BINS, BackgroundPrior, known_background
 from auv_mcm.contacts.expected_alarms import called_from_nats
 from auv_mcm.errors import BadInputError
 from sim_replay.fitting.fit_background import log_odds_of

@@ -120,11 +120,7 @@ FOREIGN: Final[tuple[ForeignFormat, ...]] = (
         f"{_FETCH}: log in first, or take the direct link",
     ),
     ForeignFormat("an XML text, maybe a server's error", _text(b"<?xml", b"<error"), _FETCH),
-    ForeignFormat(
-        "a Word document",
-        _office(b"word/"),
-        "Name the log that it describes",
-    ),
+    ForeignFormat("a Word document", _office(b"word/"), "Name the log that it describes"),
     ForeignFormat("an Excel sheet", _office(b"xl/"), "Name the log that it describes"),
     ForeignFormat("a StarFish log (.logdoc)", _office(b"logdoc"), f"{_AS_XTF} with StarFish Scanline", (".logdoc",)),
     ForeignFormat("compressed (zip)", _magic(b"PK\x03\x04", b"PK\x05\x06"), "Unpack it: unzip FILE"),

@@ -45,12 +45,7 @@ class XtfLog:
     """
 
     def __init__(
-        self,
-        path: str | os.PathLike[str],
-        sonar: SonarConfig,
-        *,
-        epsg: int | None = None,
-        chunk_bytes: int = 1 << 18,
+        self, path: str | os.PathLike[str], sonar: SonarConfig, *, epsg: int | None = None, chunk_bytes: int = 1 << 18
     ) -> None:
         """Open and check the file header. `chunk_bytes` sizes the read buffer and nothing else.
 

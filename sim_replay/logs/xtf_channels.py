@@ -154,10 +154,7 @@ def _numbering(heads: Sequence[PacketHead], n_channels: int) -> Numbering:
 
 
 def choose_pair(
-    channels: Sequence[Channel],
-    heads: Sequence[PacketHead],
-    packing: Packing,
-    subsystem: int | None,
+    channels: Sequence[Channel], heads: Sequence[PacketHead], packing: Packing, subsystem: int | None
 ) -> Pair:
     """Choose port and starboard: of several frequencies the highest, or the one that `sonar.subsystem` names.
 

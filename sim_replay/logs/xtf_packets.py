@@ -47,12 +47,7 @@ class DamagedBytes(NamedTuple):
 Item: TypeAlias = XtfPacket | FileHeader | DamagedBytes
 
 
-def read_packets(
-    file: BinaryIO,
-    first_packet: int,
-    size: int,
-    wanted: Container[int],
-) -> Iterator[Item]:
+def read_packets(file: BinaryIO, first_packet: int, size: int, wanted: Container[int]) -> Iterator[Item]:
     """Yield packets of `file` (seekable, `size` bytes) from offset `first_packet` on, in file order, one at a time."""
     position = first_packet
     search_from = first_packet  # no packet that was already delivered starts at or after this

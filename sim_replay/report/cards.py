@@ -8,14 +8,7 @@ from typing import Final, NamedTuple
 
 from auv_mcm.classify.beliefs import bounded_by, singleton_belief
 from auv_mcm.classify.reasons import Bearing, bearing, in_words
-from auv_mcm.contacts.contact import (
-    best_view,
-    call_words,
-    depth_m,
-    error_ellipse,
-    is_mine_like,
-    view_reasons,
-)
+from auv_mcm.contacts.contact import best_view, call_words, depth_m, error_ellipse, is_mine_like, view_reasons
 from auv_mcm.contacts.contact_words import HALF_SEEN, MINES, ContactWords, contact_words, plain_kind
 from auv_mcm.records import Contact, Detection, Waypoint
 from sim_replay.report import report_words as words

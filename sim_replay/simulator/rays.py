@@ -45,11 +45,7 @@ def beam_rays(sonar: Sonar) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 
 def fan(
-    poses: Sequence[SonarPose],
-    floor_m: NDArray[np.float64],
-    sonar: Sonar,
-    datum_depth_m: float,
-    cell_m: float,
+    poses: Sequence[SonarPose], floor_m: NDArray[np.float64], sonar: Sonar, datum_depth_m: float, cell_m: float
 ) -> Fan:
     """Return rays of both sides of all poses: pose i adds to rows 2 i for port and 2 i + 1 for starboard.
 

@@ -46,14 +46,7 @@ from sim_replay.view.mission_files import (
     time_s,
     track_of,
 )
-from sim_replay.view.places import (
-    Measured,
-    SeabedPlaces,
-    WaterfallPoint,
-    measure_length,
-    measure_shadow,
-    place_points,
-)
+from sim_replay.view.places import Measured, SeabedPlaces, WaterfallPoint, measure_length, measure_shadow, place_points
 from sim_replay.view.waterfall_store import WaterfallStore
 
 MAX_TRACK_POINTS: Final = 8000  # of the track on the map: more than a screen has pixels

@@ -36,12 +36,7 @@ _LINGER_S: Final = 1.0  # s that the rest of a refused body is read, so that its
 _CACHED_TILES: Final = 512  # of 64 kB: 32 MB
 _MAX_STRIP_ROWS: Final = 1 << 20  # rows of one answer: 16384 strips
 _PAGE: Final = Path(__file__).parent / "page"
-_KINDS: Final = {
-    ".html": "text/html",
-    ".js": "text/javascript",
-    ".css": "text/css",
-    ".svg": "image/svg+xml",
-}
+_KINDS: Final = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
 _HEADERS: Final = {
     "Content-Security-Policy": (
         "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; "

@@ -188,9 +188,7 @@ class WaterfallStore:
             if stop <= top or n_columns <= 0:
                 continue
             data = os.pread(
-                self._descriptor,
-                (stop - top) * piece.n_columns,
-                piece.offset + (top - piece.row) * piece.n_columns,
+                self._descriptor, (stop - top) * piece.n_columns, piece.offset + (top - piece.row) * piece.n_columns
             )
             pixels = np.frombuffer(data, dtype=np.uint8).reshape(stop - top, piece.n_columns)
             codes[top - first : stop - first, :n_columns] = pixels[:, near : near + n_columns]

@@ -26,8 +26,7 @@ def test_a_file_is_taken_where_its_folder_is_there(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("bench", "option"),
-    [("chain", "--json"), ("all", "--json"), ("views", "--json"), ("seabed", "--json")],
+    ("bench", "option"), [("chain", "--json"), ("all", "--json"), ("views", "--json"), ("seabed", "--json")]
 )
 def test_a_missing_folder_is_reported_before_anything_is_measured(
     bench: str, option: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -86,10 +86,7 @@ SPOILT: dict[str, tuple[Spoil, str]] = {
         ],
         "ping.clock_stepped_back",
     ),
-    "one channel only": (
-        lambda events: [REPLACE(e, port=None) if isinstance(e, Ping) else e for e in events],
-        "",
-    ),
+    "one channel only": (lambda events: [REPLACE(e, port=None) if isinstance(e, Ping) else e for e in events], ""),
     "a ping with another sample count": (one_ping_shorter, "reader.sample_count_change"),
 }
 

@@ -18,22 +18,9 @@ from auv_mcm.records import NAN, Notice
 from sim_replay.report import PictureCollector, render_report, write_report
 from sim_replay.report.page import MAX_CARDS, MAX_ROWS, Shown
 from sim_replay.report.pictures import MAX_JPEG_BYTES
-from sim_replay.report.report_words import (
-    area,
-    degrees_minutes,
-    distance,
-    duration,
-    nice_step,
-)
+from sim_replay.report.report_words import area, degrees_minutes, distance, duration, nice_step
 from sim_replay.verdicts import Verdict
-from tests.sim_replay.report_samples import (
-    Page,
-    collected,
-    contact,
-    decoded,
-    mission,
-    waypoints,
-)
+from tests.sim_replay.report_samples import Page, collected, contact, decoded, mission, waypoints
 
 
 def full_page(**changes: Any) -> str:

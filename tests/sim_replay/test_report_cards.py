@@ -214,8 +214,7 @@ def test_a_card_does_not_contradict_itself() -> None:
 
 def test_a_card_says_why_it_is_not_called_a_mine() -> None:
     view = msgspec.structs.replace(
-        seen(rejected=True, reasons=("shadow_goes_on", "cut_off"), log_ratio=-5.0),
-        reasons=("highlight_and_shadow",),
+        seen(rejected=True, reasons=("shadow_goes_on", "cut_off"), log_ratio=-5.0), reasons=("highlight_and_shadow",)
     )
     text = read(confirmed(0.1, views=(view,), classification="clutter", belief={"clutter": 1.0}))
     assert "Probably not a mine: 10 % chance that it is one." in text

@@ -16,21 +16,8 @@ from auv_mcm.records import LOW_RESOLUTION, NAN, TURN, VALID, CoveragePatch, Sid
 from auv_mcm.snippet import pack_snippet
 from sim_replay.report import PictureCollector, Shown, render_report
 from sim_replay.report.chart import WIDTH, draw_chart
-from sim_replay.report.report_words import (
-    explained_counters,
-    is_loss,
-)
-from tests.sim_replay.report_samples import (
-    ROW_M,
-    START_S,
-    Page,
-    collected,
-    contact,
-    decoded,
-    detection,
-    mission,
-    tile,
-)
+from sim_replay.report.report_words import explained_counters, is_loss
+from tests.sim_replay.report_samples import ROW_M, START_S, Page, collected, contact, decoded, detection, mission, tile
 
 
 def test_strips_show_port_left_and_later_pings_above() -> None:

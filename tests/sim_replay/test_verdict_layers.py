@@ -143,7 +143,4 @@ def test_annotations_of_a_picture_say_the_verdict(tmp_path: Path) -> None:
     write_mcap(tmp_path / "m.mcap", [timed(0)], {"contacts": [seen], "missed_contacts": [missed, lost]})
     messages = {topic: message for topic, _, message, _ in decoded(tmp_path / "m.mcap")}
     texts = [one.text for one in messages["/sonar/starboard/contacts"].texts]
-    assert texts == [
-        "C00001 0.10 judged mine like by kim: anchor",
-        "V0002 missed, judged mine like by kim: anchor",
-    ]
+    assert texts == ["C00001 0.10 judged mine like by kim: anchor", "V0002 missed, judged mine like by kim: anchor"]

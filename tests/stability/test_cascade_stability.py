@@ -215,9 +215,7 @@ def test_gain_of_a_power_of_two_changes_no_score(seed: int, power: int) -> None:
     usable[5:-5, 4:70] = True  # away from the margins, which stay as they are
     loud, quiet = (
         run_plane(
-            make_plane(one.astype(np.uint16), everywhere, usable, np.full(16, 5.0), 0.3, 0.35),
-            drawn_model(seed),
-            None,
+            make_plane(one.astype(np.uint16), everywhere, usable, np.full(16, 5.0), 0.3, 0.35), drawn_model(seed), None
         )
         for one in (codes * 2.0**power, codes)
     )

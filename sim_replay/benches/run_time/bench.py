@@ -17,13 +17,7 @@ from auv_mcm.errors import UsageError
 from auv_mcm.shell.whole_files import write_file
 from sim_replay.arguments import add_line_options, count, new_file
 from sim_replay.benches.run_time.apart import Apart, measure_apart
-from sim_replay.benches.run_time.lines import (
-    FIRST_SEED,
-    BenchMission,
-    augment_logs,
-    fly_empty,
-    fly_scenes,
-)
+from sim_replay.benches.run_time.lines import FIRST_SEED, BenchMission, augment_logs, fly_empty, fly_scenes
 from sim_replay.benches.run_time.measure import measure_settings, this_machine
 from sim_replay.benches.run_time.one_run import DEFAULT
 from sim_replay.benches.run_time.points import PLAIN, ChainSetting, chain_settings

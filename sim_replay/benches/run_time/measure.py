@@ -202,10 +202,7 @@ def timed(command: Sequence[str], what: str, errors: Path, environment: Mapping[
     """
     kept = {"PYTHONDONTWRITEBYTECODE": "", "PYTHONPYCACHEPREFIX": str(errors.parent / "bytecode")}
     env = {**os.environ, **kept, **_ONE_THREAD, **environment}
-    with (
-        errors.open("wb+") as err,
-        subprocess.Popen(command, env=env, stdout=subprocess.PIPE, stderr=err) as process,
-    ):
+    with errors.open("wb+") as err, subprocess.Popen(command, env=env, stdout=subprocess.PIPE, stderr=err) as process:
         assert process.stdout is not None
         output = process.stdout.read().decode()
         _, status, usage = os.wait4(process.pid, 0)

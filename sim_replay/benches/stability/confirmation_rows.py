@@ -23,16 +23,7 @@ from auv_mcm.confirm.likelihoods import (
 from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region
 from auv_mcm.confirm.snake import COARSE, snake_settings
 from auv_mcm.kernels import mean_field, snake, speckle, trws
-from sim_replay.benches.stability.rows import (
-    Found,
-    NumberRow,
-    Watch,
-    absolute,
-    each,
-    random_of,
-    relative,
-    unlike,
-)
+from sim_replay.benches.stability.rows import Found, NumberRow, Watch, absolute, each, random_of, relative, unlike
 
 Values = NDArray[np.float64]
 

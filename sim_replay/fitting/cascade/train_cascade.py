@@ -19,13 +19,7 @@ from sim_replay.fitting.cascade.training_images import render_set, tile_set_word
 
 
 def train_model(
-    spec: Path | None,
-    out: Path,
-    *,
-    tiles: Path | None,
-    n_stumps: int,
-    farm: Farm,
-    say: Callable[[str], None],
+    spec: Path | None, out: Path, *, tiles: Path | None, n_stumps: int, farm: Farm, say: Callable[[str], None]
 ) -> None:
     """Train a cascade and write it to `out`, JSON.
 

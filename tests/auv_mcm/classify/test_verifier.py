@@ -11,15 +11,7 @@ from numpy.typing import NDArray
 
 from auv_mcm.classify.chips import N_COLUMNS, N_HEIGHTS, N_PLACE, N_ROWS, Chip
 from auv_mcm.classify.odds import MineOdds, Verification, configured_odds, shipped_odds
-from auv_mcm.classify.verifier import (
-    CLASSES,
-    FILE,
-    mean_scores,
-    network_of,
-    opinions_of,
-    parse_network,
-    rest_ratio,
-)
+from auv_mcm.classify.verifier import CLASSES, FILE, mean_scores, network_of, opinions_of, parse_network, rest_ratio
 from auv_mcm.errors import BadInputError
 from auv_mcm.settings.config import parse_config
 from tests.auv_mcm.classify.slow_network import slow_scores, weights_of

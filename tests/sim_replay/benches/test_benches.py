@@ -23,12 +23,7 @@ def test_every_bench_that_is_offered_explains_itself(bench: str, capsys: pytest.
 
 
 @pytest.mark.parametrize(
-    "arguments",
-    [
-        ["chain", "--repeat", "0"],
-        ["domains", "--seeds", "-3"],
-        ["seabed", "--seeds", "many"],
-    ],
+    "arguments", [["chain", "--repeat", "0"], ["domains", "--seeds", "-3"], ["seabed", "--seeds", "many"]]
 )
 def test_numbers_that_nothing_can_be_measured_with_are_refused(
     arguments: list[str], capsys: pytest.CaptureFixture[str]

@@ -7,15 +7,7 @@ import numpy as np
 import pytest
 
 from auv_mcm.contacts.background import shipped_background
-from sim_replay.benches.domains import (
-    EXPERIMENT,
-    OWN,
-    grouped,
-    judged,
-    n_found_at,
-    reliability,
-    within_mission,
-)
+from sim_replay.benches.domains import EXPERIMENT, OWN, grouped, judged, n_found_at, reliability, within_mission
 from sim_replay.benches.experiment import experiment_rows
 from sim_replay.fitting.recorders import RECORDED_SCENES, RECORDERS, recorded_by
 from sim_replay.simulator.scene_file import check_scene, read_scene

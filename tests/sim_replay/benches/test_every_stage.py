@@ -54,20 +54,13 @@ def test_what_cannot_be_measured_is_refused(
 def row(*, error: float = 1.0, limit: float | None = None, times_ms: tuple[float, ...] = (9.0, 10.0, 11.0)) -> StageRow:
     other = Alternative(name="other", cost=Cost((100.0,)), error=3.0)
     return StageRow(
-        stage="made here",
-        setting="one",
-        cost=Cost(times_ms),
-        error=error,
-        unit="m",
-        limit=limit,
-        alternative=other,
+        stage="made here", setting="one", cost=Cost(times_ms), error=error, unit="m", limit=limit, alternative=other
     )
 
 
 def results(*rows: StageRow) -> EveryStageResults:
     machine = msgspec.convert(
-        {"processor": "", "cores": 1, "kernels": "c", "versions": {}, "date": "", "load": (0.0, 0.0)},
-        BenchMachine,
+        {"processor": "", "cores": 1, "kernels": "c", "versions": {}, "date": "", "load": (0.0, 0.0)}, BenchMachine
     )
     return EveryStageResults(machine=machine, n_inputs=1, repeat=3, stages=("made here",), rows=rows)
 

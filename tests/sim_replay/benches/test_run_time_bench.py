@@ -189,13 +189,7 @@ def test_targets_say_what_missed_and_where_the_time_goes(tmp_path: Path) -> None
     assert [row[5] for row in target_rows(list(found.values()))].count("not measured") == 7
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["--scenes", "moon"], "moon"),
-        (["--knobs", "colour"], "colour"),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "words"), [(["--scenes", "moon"], "moon"), (["--knobs", "colour"], "colour")])
 def test_what_is_not_there_is_refused(arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bench", "chain", *arguments]) == 2
     assert words in capsys.readouterr().err

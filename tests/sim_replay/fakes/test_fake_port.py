@@ -143,9 +143,7 @@ async def test_a_stalled_line_loses_both_ways_without_a_hang_up(tmp_path: Path) 
     port.unplug()
 
 
-async def test_a_busy_host_that_has_set_up_the_port_loses_nothing_that_a_kernel_would_hold(
-    tmp_path: Path,
-) -> None:
+async def test_a_busy_host_that_has_set_up_the_port_loses_nothing_that_a_kernel_would_hold(tmp_path: Path) -> None:
     port = FakePort(tmp_path / "sonar", 4000000)
     port.plug()
     host = opened(port.path, 4000000)

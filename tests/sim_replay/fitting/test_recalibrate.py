@@ -19,12 +19,7 @@ from scipy.special import expit, xlogy
 from auv_mcm import __version__
 from auv_mcm.classify.odds import configured_odds, shipped_odds
 from auv_mcm.cli import main
-from auv_mcm.contacts.background import (
-    LOWEST_NATS,
-    counted_log_odds,
-    estimate_background,
-    shipped_background,
-)
+from auv_mcm.contacts.background import LOWEST_NATS, counted_log_odds, estimate_background, shipped_background
 from auv_mcm.errors import BadInputError
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.settings.config import Config, ConfirmConfig, config_yaml, parse_config

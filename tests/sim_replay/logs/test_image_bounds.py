@@ -129,8 +129,7 @@ def broken_group(path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "write"),
-    [("a.tif", counts_of_another_image), ("a.tif", unknown_compression), ("a.h5", broken_group)],
+    ("name", "write"), [("a.tif", counts_of_another_image), ("a.tif", unknown_compression), ("a.h5", broken_group)]
 )
 def test_what_a_parser_raises_names_the_file(name: str, write: Callable[[Path], None], tmp_path: Path) -> None:
     write(tmp_path / name)

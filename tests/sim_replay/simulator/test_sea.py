@@ -12,17 +12,7 @@ from numpy.typing import NDArray
 from scipy.special import kolmogorov
 
 from sim_replay.simulator.backscatter import SEDIMENTS, backscatter
-from sim_replay.simulator.scene import (
-    STEADY,
-    Lawnmower,
-    SampleRecorder,
-    Scene,
-    Seabed,
-    SeabedType,
-    Sonar,
-    Track,
-    World,
-)
+from sim_replay.simulator.scene import STEADY, Lawnmower, SampleRecorder, Scene, Seabed, SeabedType, Sonar, Track, World
 from sim_replay.simulator.sea import Sea
 from sim_replay.simulator.seabeds import USUAL
 from sim_replay.simulator.vehicle import SonarPose

@@ -36,10 +36,7 @@ def poses(first_row: int, n_rows: int) -> PoseTrack:
     home_deg = HOME.latitude_deg, HOME.longitude_deg
     sailed = straight_pose(n_rows, ROW_M, home_deg, first_row=first_row, speed_mps=SPEED_MPS, start_s=START_S)
     return structs.replace(
-        sailed,
-        speed_mps=np.zeros(n_rows),
-        depth_m=np.full(n_rows, DEPTH_M),
-        altitude_m=np.full(n_rows, ALTITUDE_M),
+        sailed, speed_mps=np.zeros(n_rows), depth_m=np.full(n_rows, DEPTH_M), altitude_m=np.full(n_rows, ALTITUDE_M)
     )
 
 

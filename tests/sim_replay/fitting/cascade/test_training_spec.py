@@ -73,7 +73,7 @@ rocks: {per_mission: 4, length_m: [1.0, 1.1]}
 def test_every_scene_is_flown_with_every_seed() -> None:
     lines = simulated(TWO)
     assert [line.background for line in lines] == [
-        *(f"{name}/{seed}" for seed in (600, 601, 602, 700, 800) for name in ("flat", "sas")),
+        *(f"{name}/{seed}" for seed in (600, 601, 602, 700, 800) for name in ("flat", "sas"))
     ]
     assert Counter(line.split for line in lines) == {"train": 6, "validate": 2, "test": 2}
 

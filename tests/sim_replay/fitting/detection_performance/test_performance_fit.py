@@ -16,11 +16,7 @@ from auv_mcm.classify.beliefs import MINE_LIKE_P
 from auv_mcm.clearance.detection_performance import FLOORS, parse_performance
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import SEABED_TYPES
-from sim_replay.fitting.detection_performance.calibrate_performance import (
-    performance_fit_words,
-    sweep_widths_m,
-    tables,
-)
+from sim_replay.fitting.detection_performance.calibrate_performance import performance_fit_words, sweep_widths_m, tables
 from sim_replay.fitting.detection_performance.closed_form import p_found
 from sim_replay.fitting.detection_performance.fit_performance import (
     EDGES_M,

@@ -25,11 +25,7 @@ def part(start_s: float, look_deg: float, side: Side = "port") -> Part:
 def patch(start_s: float, cells: list[tuple[int, int, float]]) -> CoveragePatch:
     places = {(east, north): fraction for east, north, fraction in cells}
     seen = cells_of(
-        places,
-        origin_latitude_deg=ORIGIN[0],
-        origin_longitude_deg=ORIGIN[1],
-        ground_range_m=20.0,
-        altitude_m=6.0,
+        places, origin_latitude_deg=ORIGIN[0], origin_longitude_deg=ORIGIN[1], ground_range_m=20.0, altitude_m=6.0
     )
     return patch_of(start_s=start_s, stop_s=start_s + 10.0, cells=seen)
 
