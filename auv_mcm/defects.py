@@ -52,13 +52,18 @@ def defect_notice(defect: Defect, what: str, consequence: str, place: str) -> No
     consequence
         What follows.
     """
-    try:
-        warnings.warn(DefectWarning(f"{what} failed at {place}: {defect.text}"), stacklevel=2)
-    except DefectWarning as warning:
-        raise warning from defect.error
+    warn_of(defect, f"{what} failed at {place}")
     advice = "Free memory" if isinstance(defect.error, MemoryError) else "This is a defect: report it with the log"
     return Notice(
         code="pipeline.tile_failed",
         text=f"{what} failed ({defect.text}). {consequence} {advice}. Further ones are only counted.",
         place=place,
     )
+
+
+def warn_of(defect: Defect, what_failed: str) -> None:
+    """Show developers a defect. Raises DefectWarning where warnings are errors."""
+    try:
+        warnings.warn(DefectWarning(f"{what_failed}: {defect.text}"), stacklevel=2)
+    except DefectWarning as warning:
+        raise warning from defect.error

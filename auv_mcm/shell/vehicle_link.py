@@ -8,10 +8,12 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Callable, Coroutine, Iterable, Sequence
+from functools import partial
 from typing import Any, Final
 
 from auv_mcm.clean_text import clean
 from auv_mcm.clock import Clock
+from auv_mcm.defects import Defect, caught, warn_of
 from auv_mcm.plan.look_again import LookAgain, LooksSoFar, PlanRequest, Proposal
 from auv_mcm.records import NAN, Contact, EarlyContact, NavSample, Notice, SourceEvent, Waypoint
 from auv_mcm.settings.config import Config
@@ -33,6 +35,8 @@ class VehicleLink:
         self._serving: asyncio.Future[None] | None = None
         self._reported_health: tuple[Health, str] | None = None
         self._ending = ""
+        self._has_failed = False  # planning, by a defect
+        self._defects: list[Notice] = []
         self._proposed = False
         self._parted = ""
         self._position_deg = NAN, NAN
@@ -83,7 +87,7 @@ class VehicleLink:
         """Report contacts that are on disk, new or changed, to the vehicle and to planning."""
         for contact in contacts:
             self.vehicle.report(contact)
-            self._look_again.learn(contact)
+            self._safely(partial(self._look_again.learn, contact))
 
     async def report_again(self, contacts: Iterable[Contact]) -> None:
         """Report what a run before has found; what the vehicle does not have for certain comes again."""
@@ -106,16 +110,37 @@ class VehicleLink:
             "fault" if faults else "normal", "; ".join([*faults, *([] if area is None else [area.words()])])
         )
         if self._plans and not self._ending and not position_lost and self.vehicle.authority != "down":
-            self._look_again.move(*self._position_deg, self.vehicle.authority == "granted", now_s)
-            if (plan := self._look_again.insist(now_s)) is not None:
-                self.vehicle.propose(plan)
-            request = self._look_again.request((*self._position_deg, self._heading_rad), self._time_s, now_s)
-            if request is not None:
-                ask(request)
-        return [*self.vehicle.take_notices(), *self._look_again.take_notices()]
+            self._safely(partial(self._request, now_s, ask))
+        defects, self._defects = self._defects, []
+        return [*self.vehicle.take_notices(), *self._look_again.take_notices(), *defects]
+
+    def _request(self, now_s: float, ask: Callable[[PlanRequest], bool]) -> None:
+        """Follow the vehicle along its plan, propose the plan again where that is due, and have a new one made."""
+        self._look_again.move(*self._position_deg, self.vehicle.authority == "granted", now_s)
+        if (plan := self._look_again.insist(now_s)) is not None:
+            self.vehicle.propose(plan)
+        request = self._look_again.request((*self._position_deg, self._heading_rad), self._time_s, now_s)
+        if request is not None:
+            ask(request)
+
+    def _safely(self, step: Callable[[], None]) -> None:
+        """Take a step of planning. A defect in it ends planning and gives control back; the mission goes on."""
+        if self._has_failed or not isinstance(found := caught(step), Defect):
+            return
+        warn_of(found, "planning failed")
+        self._has_failed = True
+        self.release("planning failed")
+        text = (
+            f"planning failed ({found.text}): control is given back and no further leg is requested; contacts are "
+            "found and reported as before. This is a defect: report it with the log"
+        )
+        self._defects.append(Notice(code="vehicle.planning_failed", text=text))
 
     def take(self, proposal: Proposal) -> None:
         """Take the plan that was requested."""
+        self._safely(partial(self._take, proposal))
+
+    def _take(self, proposal: Proposal) -> None:
         plan = self._look_again.take(proposal, self._clock.monotonic_s())
         if plan is not None and not self._ending:
             self._proposed = True

@@ -39,10 +39,6 @@ _STILL_S: Final = 6.0  # s for which a sensor's position may stand still: acoust
 _STILL_FACTOR: Final = 2.5  # of the longest time between two positions of the sensor seen so far
 _SHIP_WAY_M: Final = 5.0  # m that a ship makes meanwhile, well above the scatter of its fixes
 
-_DOUBTED: Final = (
-    "a navigation packet's time is far from those of the pings around it: such packets count at the ping behind them; "
-    "set the clocks of sonar and navigation to UTC"
-)
 
 Place: TypeAlias = Callable[[float, float], tuple[float, float]]
 
@@ -194,7 +190,11 @@ class PacketQueue:
             self._waiting.popleft()
             if not is_sound and math.isfinite(packet.time_s):
                 report.counters["reader.packet_time_doubted"] += 1
-                report.notify_once("reader.packet_time_doubted", _DOUBTED, report.place(packet_offset))
+                text = (
+                    "a navigation packet's time is far from those of the pings around it: such packets count at the "
+                    "ping behind them; set the clocks of sonar and navigation to UTC"
+                )
+                report.notify_once("reader.packet_time_doubted", text, report.place(packet_offset))
             latitude = longitude = NAN
             if (
                 wanted.position

@@ -223,6 +223,30 @@ def test_legs_are_requested_and_the_last_request_is_among_the_results(tmp_path: 
     assert "plan" not in ports.vehicle.words()[ports.vehicle.words().index("release") :]
 
 
+@pytest.mark.filterwarnings("ignore::auv_mcm.defects.DefectWarning")
+def test_a_defect_of_planning_gives_control_back_and_ends_nothing_else(tmp_path: Path) -> None:
+    class Stumbling(Vehicle):
+        def propose(self, plan: tuple[Waypoint, ...]) -> None:
+            super().propose(plan)
+            raise ValueError("slip of the pen")
+
+    ports = Ports(Stumbling())
+    failed = ("fault", "planning failed")
+
+    def until() -> bool:
+        return failed in ports.vehicle.reports and "contact" in ports.vehicle.words()
+
+    results = serve(tmp_path, ports, until, fake.Undecided)
+    assert ports.vehicle.words().count("plan") == 1
+    assert ports.vehicle.reports.index(("release", "planning failed")) < ports.vehicle.reports.index(failed)
+    assert ("contact", "C9999") in ports.vehicle.reports, "those of the end as well"
+    (notice,) = (
+        one for one in json.loads((results / "summary.json").read_bytes())["notices"] if "planning" in one["code"]
+    )
+    assert notice["code"] == "vehicle.planning_failed"
+    assert "slip of the pen" in notice["text"]
+
+
 @pytest.mark.parametrize("vehicle", [VehicleConfig(), VehicleConfig(fence_deg=FENCED.fence_deg)])
 def test_nothing_is_requested_unless_it_is_wanted(tmp_path: Path, vehicle: VehicleConfig) -> None:
     ports = Ports()
