@@ -149,7 +149,9 @@ def beside_network(
     assert verifier is not None
     network = own or network_of(verifier.digest)
     seen = [looks_of(place, "scenes", network, odds) for place in fly_all(usual, folder, farm, show)]
-    found = msgspec.structs.replace(weighed(seen, network.digest), file=FILE if own else "")
+    found = weighed(seen, network.digest)
+    if own:
+        found = msgspec.structs.replace(found, file=FILE, made_by=f"auv-mcm {__version__}: train --all")
     return msgspec.structs.replace(odds, verifier=found)
 
 
