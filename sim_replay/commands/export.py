@@ -148,7 +148,8 @@ def _metres(low_m: float, high_m: float = math.inf) -> Callable[[str], float]:
         except ValueError:
             value = math.nan
         if not (low_m <= value <= high_m and math.isfinite(value)):
-            raise argparse.ArgumentTypeError(f"'{text}' is not a number of metres from {low_m:g} to {high_m:g}")
+            end = "on" if high_m == math.inf else f"to {high_m:g}"
+            raise argparse.ArgumentTypeError(f"'{text}' is not a number of metres from {low_m:g} {end}")
         return value
 
     return parse

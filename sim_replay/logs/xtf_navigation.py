@@ -39,7 +39,6 @@ _STILL_S: Final = 6.0  # s for which a sensor's position may stand still: acoust
 _STILL_FACTOR: Final = 2.5  # of the longest time between two positions of the sensor seen so far
 _SHIP_WAY_M: Final = 5.0  # m that a ship makes meanwhile, well above the scatter of its fixes
 
-
 Place: TypeAlias = Callable[[float, float], tuple[float, float]]
 
 
