@@ -83,7 +83,7 @@ def parse_network(data: bytes, place: str, digest: str | None = None) -> Network
 def network_of(digest: str, file: str = "") -> Network:
     """Load a network from its file, or the one that ships with the package, once in a process.
 
-    Raises BadInputError for a file that cannot be read, is no network, or has another digest.
+    Raises BadInputError for a file that cannot be read, is not a network, or has another digest.
     """
     if not file:
         return parse_network(resources.files("auv_mcm.classify").joinpath(FILE).read_bytes(), FILE, digest)

@@ -100,7 +100,7 @@ def _resumed(folder: Path, n_starts: int) -> Notice:
 def _new_folder(parent: Path, now_s: float) -> tuple[Path, float]:
     """Make a new folder per run, so that a restart never overwrites earlier results; `latest` points to it.
 
-    Return also the time in its name: a clock that nobody sets and that begins anew with the computer names no two
+    Return also the time in its name: a clock that nobody sets and that begins again with the computer names no two
     sessions alike.
     """
     make_directory(parent)

@@ -92,7 +92,7 @@ class TextGrammar(Grammar[str]):
 
 
 def fix_fields(record: Record) -> dict[str, Any]:
-    """Return the fields of a fix that a record gives; a yaw since the unit was reset is no heading."""
+    """Return the fields of a fix that a record gives; a yaw since the unit was reset is not a heading."""
     if isinstance(record, WaterLinkedAttitude):
         time_utc_s = record.time_s if record.time_s >= _CLOCK_SET_S else None
         return {"time_utc_s": time_utc_s, "pitch_rad": record.pitch_rad, "roll_rad": record.roll_rad}

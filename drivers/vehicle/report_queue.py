@@ -86,7 +86,7 @@ class ReportQueue:
         """Go on with a session that other runs began; called before the first contact.
 
         What they sent is not known for certain. So each contact comes again under its number, with a revision above all
-        that they can have sent. After 255 runs revisions begin anew, with the next number of a session.
+        that they can have sent. After 255 runs revisions begin again, with the next number of a session.
 
         Parameters
         ----------
