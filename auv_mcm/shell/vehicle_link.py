@@ -127,7 +127,6 @@ class VehicleLink:
         """Take a step of planning. A defect in it ends planning and gives control back; the mission goes on."""
         if self._has_failed or not isinstance(found := caught(step), Defect):
             return
-        warn_of(found, "planning failed")
         self._has_failed = True
         self.release("planning failed")
         text = (
@@ -135,6 +134,7 @@ class VehicleLink:
             "found and reported as before. This is a defect: report it with the log"
         )
         self._defects.append(Notice(code="vehicle.planning_failed", text=text))
+        warn_of(found, "planning failed")
 
     def take(self, proposal: Proposal) -> None:
         """Take the plan that was requested."""

@@ -33,9 +33,7 @@ def can_train() -> bool:
     return all(importlib.util.find_spec(name) for name in ("torch", "onnx"))
 
 
-def own_network(
-    theatre: Theatre, out: Path, farm: Farm, show: Callable[[int, int], None], n_passes: int = N_PASSES
-) -> None:
+def own_network(theatre: Theatre, out: Path, farm: Farm, show: Callable[[int, int], None]) -> None:
     """Fly missions of a theatre with dense mines and stones, its lines to train on too, and train on what is detected.
 
     Missions flown are kept beside `out`, and are not flown again. Where mines, other objects or floor were looked at
@@ -52,4 +50,4 @@ def own_network(
         text = f"{seen} are too few to train a network, {_MIN_LOOKS} of each are needed: the one that ships is weighed"
         print(text, file=sys.stderr)
         return
-    write_file(out, written_as_onnx(train(chips, n_passes)))
+    write_file(out, written_as_onnx(train(chips, N_PASSES)))
