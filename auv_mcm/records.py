@@ -132,7 +132,8 @@ class PoseTrack(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     Positions are those of the vehicle's navigation reference point. `heading_rad` is unwrapped along the track. `stale`
     marks instants farther from a navigation sample than the permitted gap, whose values are the nearest known ones, and
     instants at which fixes dispute the position. `position_sigma_m` is the 1-sigma per axis that age and disputes add
-    to the error of a fix itself; left out, it is 0.
+    to the error of a fix itself, `heading_sigma_rad` the one that a course in its place adds to a compass's; left out,
+    they are 0.
     """
 
     time_s: NDArray[np.float64]
@@ -147,9 +148,12 @@ class PoseTrack(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     stale: NDArray[np.bool_]
     position_sigma_m: NDArray[np.float64] = msgspec.field(default_factory=lambda: np.empty(0))
 
+    heading_sigma_rad: NDArray[np.float64] = msgspec.field(default_factory=lambda: np.empty(0))
+
     def __post_init__(self) -> None:
-        if not self.position_sigma_m.size:
-            msgspec.structs.force_setattr(self, "position_sigma_m", np.zeros(self.time_s.shape))
+        for name in ("position_sigma_m", "heading_sigma_rad"):
+            if not getattr(self, name).size:
+                msgspec.structs.force_setattr(self, name, np.zeros(self.time_s.shape))
 
     def __len__(self) -> int:
         return int(self.time_s.shape[0])

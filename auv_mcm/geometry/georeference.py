@@ -98,7 +98,7 @@ def position_covariance(
     not.
     """
     pose = echoes.pose
-    heading_sigma = np.deg2rad(navigation.heading_sigma_deg)
+    heading_sigma = np.hypot(np.deg2rad(navigation.heading_sigma_deg), pose.heading_sigma_rad)
     pitch_sigma = np.deg2rad(navigation.pitch_sigma_deg)
     attitude = _attitude(pose.heading_rad, pose.pitch_rad, pose.roll_rad)
     axis_down = (attitude @ _forward(sonar.heading_offset_deg, sonar.pitch_offset_deg))[:, 2]

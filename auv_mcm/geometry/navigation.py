@@ -15,11 +15,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_mcm.geometry import navigation_checks as checks
 from auv_mcm.geometry.bridging import MAX_HOLE_S, Bridged, Dated, Odometer
 from auv_mcm.geometry.fix import Fix, chord_m, course_rad, fix_at
 from auv_mcm.geometry.fix_agreement import FixAgreement, FixDecision
 from auv_mcm.geometry.geodesy import ecef_to_geodetic
-from auv_mcm.geometry.navigation_checks import MAX_ZERO_OFFSET_DEG, ZERO_ALTITUDES, HeadingCheck, ZeroHeadingCheck
 from auv_mcm.geometry.navigation_notices import NavNotices
 from auv_mcm.geometry.sample_values import MAX_SPEED_MPS, RANGES, values_of
 from auv_mcm.geometry.timed_values import CLOCK_S, Limits, TimedValues, measured_or_derived
@@ -79,7 +79,7 @@ class NavBuffer:
         self._line = TrackSpeed()
         self._speed_check = SpeedCheck()
         self._speed_is_off = Verdicts()
-        self._zero_heading = ZeroHeadingCheck()
+        self._zero_heading = checks.ZeroHeadingCheck()
         self._heading_is_empty = Verdicts()
         self._dated = Dated(self._position, self._heading, self._course, self._heading_is_empty, self._way)
         self._last_speed_mps = NAN
@@ -98,7 +98,7 @@ class NavBuffer:
         self._last_offered_s = -math.inf  # time of the newest position offered, accepted or not
         self._decided: deque[bool] = deque(maxlen=_REJECTED_WINDOW)  # per fix: was it rejected?
         self._steps_s: list[tuple[float, float]] = []  # fixes between which the track steps to another place
-        self._heading_check = HeadingCheck()
+        self._heading_check = checks.HeadingCheck()
         self._n_zero_altitudes = 0  # in a row
         self._notices = NavNotices(set() if raised is None else raised)
         self._last_fix: Fix | None = None
@@ -198,10 +198,10 @@ class NavBuffer:
         if times.size and float(times.max()) > self.ready_until_s:
             self._decide_now()
         position = self._position.at(times)
-        heading, heading_fresh = self._measured_or_derived(
+        heading, heading_fresh, is_course = self._measured_or_derived(
             (self._heading, self._course), self._heading_is_empty, "navigation.heading_from_course", times
         )
-        speed, _ = self._measured_or_derived(
+        speed, _, _ = self._measured_or_derived(
             (self._speed, self._track_speed), self._speed_is_off, "navigation.speed_from_fixes", times
         )
         if not self._has_speed and not math.isnan(self._last_speed_mps):
@@ -227,6 +227,7 @@ class NavBuffer:
             altitude_m=self._altitude.at(times).values[:, 0],
             stale=~((position.fresh | placed.bridged) & heading_fresh) | disputed,
             position_sigma_m=np.hypot(doubt_m, np.where(np.isfinite(drift_m), drift_m, 0.0)),
+            heading_sigma_rad=np.where(is_course, checks.crab_sigma_rad(speed), 0.0),
         )
 
     def forget_before(self, time_s: float) -> None:
@@ -366,7 +367,7 @@ class NavBuffer:
 
     def _count_zero_altitude(self, time_s: float) -> None:
         self._n_zero_altitudes += 1
-        if self._n_zero_altitudes >= ZERO_ALTITUDES:
+        if self._n_zero_altitudes >= checks.ZERO_ALTITUDES:
             self._notices.altitude_zero(time_s)
 
     def _store_position(self, time_s: float, latitude: float, longitude: float) -> None:
@@ -450,7 +451,7 @@ class NavBuffer:
     def _check_zero_heading(self, time_s: float, course_rad: float, way_m: float) -> None:
         course_deg = self._zero_heading.off_course_deg(course_rad, way_m)
         if course_deg is not None:
-            is_empty = abs(course_deg) > MAX_ZERO_OFFSET_DEG
+            is_empty = abs(course_deg) > checks.MAX_ZERO_OFFSET_DEG
             self._heading_is_empty.decide(self._newest_s, is_empty)
             if is_empty:
                 self._notices.heading_zero(course_deg, time_s)
@@ -478,11 +479,11 @@ class NavBuffer:
 
     def _measured_or_derived(
         self, channels: tuple[TimedValues, TimedValues], is_off: Verdicts, counter: str, times: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        values, fresh, n_derived = measured_or_derived(*channels, is_off.at(times), times)
-        if n_derived:
-            self.counters[counter] += n_derived
-        return values, fresh
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_]]:
+        values, fresh, is_derived = measured_or_derived(*channels, is_off.at(times), times)
+        if is_derived.any():
+            self.counters[counter] += int(np.count_nonzero(is_derived))
+        return values, fresh, is_derived
 
     def _or_level(self, channel: TimedValues, counter: str, times: NDArray[np.float64]) -> NDArray[np.float64]:
         values = channel.at(times).values[:, 0]

@@ -20,6 +20,7 @@ _BLENDED: Final = (
     "speed_mps",
     "altitude_m",
     "position_sigma_m",
+    "heading_sigma_rad",
 )
 
 

@@ -198,8 +198,8 @@ class TimedValues:
 
 def measured_or_derived(
     measured: TimedValues, derived: TimedValues, is_off: NDArray[np.bool_], times: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.bool_], int]:
-    """Give fresh measured values, else fresh derived ones, else the nearest known; which are fresh; how many derived.
+) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_]]:
+    """Give fresh measured values, else fresh derived ones, else the nearest known; which are fresh; which derived.
 
     Parameters
     ----------
@@ -212,10 +212,9 @@ def measured_or_derived(
     """
     first = measured.at(times)
     if first.fresh.all() and not is_off.any():
-        return first.values[:, 0], first.fresh, 0
+        return first.values[:, 0], first.fresh, np.zeros(times.shape, dtype=np.bool_)
     second = derived.at(times)
     use_derived = ~first.fresh & (second.fresh | np.isnan(first.values[:, 0]))
     use_derived |= is_off & ~np.isnan(second.values[:, 0])
     values = np.where(use_derived, second.values[:, 0], first.values[:, 0])
-    n_derived = int(np.count_nonzero(use_derived & ~np.isnan(values)))
-    return values, (first.fresh & ~is_off) | second.fresh, n_derived
+    return values, (first.fresh & ~is_off) | second.fresh, use_derived & ~np.isnan(values)

@@ -119,7 +119,9 @@ class NavigationConfig(_Section, frozen=True, kw_only=True):
     position_sigma_m: Annotated[float, Meta(ge=0.0, le=100.0, description="1-sigma of a position fix per axis, m")] = (
         1.0
     )
-    heading_sigma_deg: Annotated[float, Meta(ge=0.0, le=45.0, description="1-sigma of heading, degrees")] = 1.0
+    heading_sigma_deg: Annotated[
+        float, Meta(ge=0.0, le=45.0, description="1-sigma of a compass, degrees; a course in its place errs more")
+    ] = 1.0
     pitch_sigma_deg: Annotated[float, Meta(ge=0.0, le=45.0, description="1-sigma of pitch, degrees")] = 0.5
     sound_speed_sigma_mps: Annotated[float, Meta(ge=0.0, le=50.0, description="1-sigma of sound speed, m/s")] = 5.0
     max_speed_mps: Annotated[

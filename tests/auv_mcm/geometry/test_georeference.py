@@ -280,6 +280,13 @@ def test_each_error_moves_the_echo_its_own_way(
     np.testing.assert_allclose(np.sqrt(np.diag(covariance)), [east_m, north_m], rtol=1e-3, atol=1e-9)
 
 
+def test_a_course_in_place_of_a_heading_moves_the_echo_along_the_track() -> None:
+    config = msgspec.structs.replace(NO_ERROR, heading_sigma_deg=3.0)
+    echo = one_echo("starboard", LEVEL_R, LEVEL_H, heading_sigma_rad=math.radians(4.0))
+    covariance = position_covariance(echo, SonarConfig(), config, np.zeros(1))[0]
+    np.testing.assert_allclose(np.sqrt(np.diag(covariance)), [0.0, LEVEL_Y * math.sin(math.radians(5.0))], atol=0.02)
+
+
 def test_covariance_equals_that_of_scattered_measurements() -> None:
     """Monte Carlo through the public position, with every error at once; sampling error of 40 000 draws is 0.7 %."""
     n = 40_000

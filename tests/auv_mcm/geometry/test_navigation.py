@@ -232,6 +232,8 @@ def test_a_compass_that_fails_is_replaced_by_the_course_and_counted() -> None:
     np.testing.assert_allclose(np.rad2deg(track.heading_rad), [95.0, 95.0, 90.0], atol=1e-3)
     assert not track.stale.any()
     assert buffer.counters["navigation.heading_from_course"] == 1
+    # A current of 0.25 m/s from the side turns a track of 1.5 m/s.
+    np.testing.assert_allclose(track.heading_sigma_rad, [0.0, 0.0, math.atan(0.25 / 1.5)], atol=1e-6)
 
 
 def test_heading_stays_continuous_when_the_compass_fails_for_some_turns_and_comes_back() -> None:
