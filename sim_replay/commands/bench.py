@@ -20,6 +20,7 @@ BENCHES: Final = {  # modules of sim_replay with EXPERIMENT, or add_arguments an
     "seabed": ("benches.seabed", "the live map of the sea floor against the truth of the named scenes"),
     "clearance": ("benches.clearance", "mines left, estimated against true"),
     "views": ("benches.views", "what further views of a contact bring, missions flown along and across"),
+    "priors": ("benches.priors", "what knowing the scene's priors is worth: a network of its own beside what ships"),
     "survey": ("benches.survey", "track to clear an area by the payload's plans, and by lawnmowers"),
     "domains": ("benches.domains", "p_mine on whole domains: Pd at given false alarms, and calibration"),
     "view": ("benches.view", "screenshots and film of the documentation, taken in a browser"),
