@@ -224,8 +224,16 @@ def _passages(detections: list[Detection]) -> list[list[Detection]]:
 
 
 def _same_look(a: Detection, b: Detection) -> bool:
-    same_squint = a.squint_rad == b.squint_rad
-    return same_squint and abs(a.time_s - b.time_s) < _SAME_LOOK_S and _turned_rad(a, b) < _SAME_LOOK_RAD
+    return a.squint_rad == b.squint_rad and _same_passage(a, b)
+
+
+def _beside(a: Detection, b: Detection) -> bool:
+    """Check whether two views are of different sub-apertures of one passage."""
+    return a.squint_rad != b.squint_rad and _same_passage(a, b)
+
+
+def _same_passage(a: Detection, b: Detection) -> bool:
+    return abs(a.time_s - b.time_s) < _SAME_LOOK_S and _turned_rad(a, b) < _SAME_LOOK_RAD
 
 
 def _turned_rad(a: Detection, b: Detection) -> float:
@@ -272,13 +280,17 @@ def contact_from_views(name: str, views: tuple[Detection, ...], prior: float) ->
 def fused_position(views: tuple[Detection, ...]) -> tuple[float, float, NDArray[np.float64]]:
     """Average latitude and longitude of views by their inverse covariances.
 
-    Returns both in degrees, and their east/north covariance (2, 2), m².
+    Sub-apertures of one passage share its navigation: together they count as one view. Returns both in degrees, and
+    their east/north covariance (2, 2), m².
     """
     if len(views) == 1:
         return views[0].latitude_deg, views[0].longitude_deg, views[0].covariance_m2
     frame = LocalFrame(latitude_deg=views[0].latitude_deg, longitude_deg=views[0].longitude_deg, height_m=0.0)
     positions = np.array([frame.to_enu(v.latitude_deg, v.longitude_deg, 0.0)[:2] for v in views])
     information = np.linalg.inv(np.array([v.covariance_m2 for v in views]) + MIN_COVARIANCE_M2)
+    if any(v.squint_rad != views[0].squint_rad for v in views):
+        n_together = [sum(a is b or _beside(a, b) for b in views) for a in views]
+        information /= np.array(n_together)[:, np.newaxis, np.newaxis]
     covariance = np.linalg.inv(information.sum(axis=0))
     east_north = covariance @ np.einsum("nij,nj->i", information, positions)
     latitude, longitude, _ = frame.to_geodetic(np.array([east_north[0], east_north[1], 0.0]))

@@ -73,7 +73,7 @@ def chips_of(places: Sequence[Path]) -> ChipTable:
         if chips:
             parts.append(table_of(chips, classes_of(caught)[kept]))
     if not parts:
-        raise UsageError("no mission has a detection to learn from. Fly more, with --missions")
+        raise UsageError("no mission has a detection to learn from. Fly more of them, or scenes with more objects")
     return ChipTable(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
