@@ -38,6 +38,9 @@ from sim_replay.text_tables import columns, json_lines
 CONFIG: Final = "vehicle.yaml"
 """Name of the configuration that names all other files."""
 _SPEC: Final = "theatre.yaml"
+_NETWORK_ALONE: Final = b"\n# the network and its odds alone\n"  # kept with the spec
+_ODDS: Final = "odds.json"
+_OF_NETWORK: Final = (FILE, _ODDS)
 LIMITS_PER_KM2: Final = (10.0, 30.0, 100.0)
 """False alarms per km² that own and shipped are compared at."""
 _N_MISSIONS: Final = {"odds": 18, "gate": 9, "background": 27}  # or a few more, as of what ships
@@ -65,6 +68,8 @@ def fit_theatre(
     train: Callable[[Path], None],
     farm: Farm,
     watched: Watched,
+    *,
+    network_alone: bool = False,
 ) -> str:
     """Fit detector, odds, gate, background and detection performance, and write a configuration that names them.
 
@@ -82,22 +87,20 @@ def fit_theatre(
         Writes the detector's cascade to a file.
     watched
         Gives, by a step's name, what takes the missions flown and how many it has.
+    network_alone
+        Fit the network and the odds that weigh it; detector, gate, background and performance stay as they are.
 
     Raises
     ------
     UsageError
-        For a folder that cannot be written to or has files of another spec, and as the fits do.
+        For a folder that cannot be written to or has files of another spec, without PyTorch for the network alone, and
+        as the fits do.
     """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UsageError(f"--out {folder} cannot be made: {error.strerror}. Name a new folder") from error
-    kept = folder / _SPEC
-    if kept.exists() and read_regular(kept) != spec:
-        raise UsageError(f"--out {folder} has files that were fitted for another spec, {kept}: name a new folder")
-    write_file(kept, spec)
+    _begin(folder, spec, network_alone=network_alone)
     shipped, files = theatre, dict[str, str]()
     for step in _steps(train, farm):
+        if network_alone and step.file not in _OF_NETWORK:
+            continue
         place = folder.absolute() / step.file
         if not place.exists():
             with watched(step.key or "network") as show:
@@ -108,6 +111,23 @@ def fit_theatre(
     write_file(folder / CONFIG, config_yaml(with_files(on_grid(config, theatre.sonars[0]), **files)).encode())
     with watched("judging") as show:
         return judged({"shipped": shipped, "own": theatre}, farm, show)
+
+
+def _begin(folder: Path, spec: bytes, *, network_alone: bool) -> None:
+    """Make the folder, and keep the spec in it that its files are fitted for."""
+    if network_alone and not can_train():
+        raise UsageError("--network needs PyTorch: python -m pip install 'auv-mcm[verifier]'")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(f"--out {folder} cannot be made: {error.strerror}. Name a new folder") from error
+    kept = folder / _SPEC
+    spec += _NETWORK_ALONE if network_alone else b""
+    if kept.exists() and read_regular(kept) != spec:
+        raise UsageError(
+            f"--out {folder} has files that were fitted otherwise or for another spec, {kept}: name a new one"
+        )
+    write_file(kept, spec)
 
 
 def _steps(train: Callable[[Path], None], farm: Farm) -> Iterator[Step]:
@@ -138,7 +158,7 @@ def _steps(train: Callable[[Path], None], farm: Farm) -> Iterator[Step]:
     yield Step("model", "model.json", lambda theatre, out, show: train(out))
     if can_train():
         yield Step(None, FILE, network)
-    yield Step("odds", "odds.json", odds)
+    yield Step("odds", _ODDS, odds)
     yield Step("gate", "gate.json", gate)
     yield Step("background", "background.json", background)
     yield Step("performance", "performance.json", tables)

@@ -178,6 +178,21 @@ def test_each_step_goes_by_the_files_before_it_and_an_interrupted_run_goes_on(
     assert seen == {}
     with pytest.raises(UsageError, match="for another spec"):
         fit_theatre.fit_theatre(alone, vehicle, b"b", folder, train, farm, watched)
+    with pytest.raises(UsageError, match="fitted otherwise"):
+        fit_theatre.fit_theatre(alone, vehicle, b"a", folder, train, farm, watched, network_alone=True)
+    fit_theatre.fit_theatre(alone, vehicle, b"a", tmp_path / "network", train, farm, watched, network_alone=True)
+    assert seen == {step: ["shipped", "shipped", "shipped", "shipped"] for step in ("network", "odds")}
+    own = parse_config((tmp_path / "network" / "vehicle.yaml").read_text(), "vehicle.yaml")
+    assert Path(own.confirm.odds).parent == tmp_path / "network"
+    assert (own.detect.model, own.contacts.background) == ("shipped", "shipped")
+
+
+def test_a_network_alone_needs_pytorch(theatre: Theatre, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fit_theatre, "can_train", lambda: False)
+    with pytest.raises(UsageError, match="needs PyTorch"):
+        fit_theatre.fit_theatre(
+            theatre, theatre.config, b"a", tmp_path / "own", lambda out: None, Farm(1), watched, network_alone=True
+        )
 
 
 def watched(step: str) -> AbstractContextManager[Callable[[int, int], None]]:
