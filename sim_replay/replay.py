@@ -172,7 +172,7 @@ class _Replaying:
         self._mission, self._pipeline, self._config, self._found = mission, pipeline, config, found
         self._tally = Tally()
         self._coverage: list[CoveragePatch] = []
-        self._searched = ClearanceMap(configured_performance(config))
+        self._searched = ClearanceMap(configured_performance(config), config.plan.area_deg)
         self._notices: list[Notice] = []
         self._pictures = PictureCollector()
         self._track = _Track()

@@ -8,12 +8,14 @@ same mine and counts only in part, as does, a little, any further one: what is b
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Final, NamedTuple, Protocol
 
 import msgspec
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import NAN, SEABED_TYPES, CoveragePatch, Side, SurveyedCells
 
 Array = NDArray[np.float64]
@@ -129,8 +131,10 @@ class ClearanceMap:
     of a cell in two patches is one look.
     """
 
-    def __init__(self, model: LookModel) -> None:
+    def __init__(self, model: LookModel, area_deg: Sequence[tuple[float, float]] = ()) -> None:
+        """area_deg: corners of the area to be cleared, which is laid out first where not all cells can be."""
         self._model = model
+        self._area_deg = tuple(area_deg)
         self._looks: list[_Look] = []
         self._numbers: list[int] = []  # of the pass, per look
         self._passes: dict[Side, _Pass] = {}
@@ -211,12 +215,38 @@ class ClearanceMap:
             total += np.where(there[:, k], weight * exponent[row[:, k]], 0.0)
         return total
 
+    def _that_fit(self, east: NDArray[np.int64], north: NDArray[np.int64]) -> NDArray[np.intp]:
+        """Choose the cells to lay out, rising indices: all, or, if their box is too large, those nearest to the area to
+        be cleared, without one to the densest part.
+
+        A position that was wrong by kilometres, the way to the area, or a second site, must not cost the memory of all
+        that lies between.
+        """
+        if (int(np.ptp(east)) + 1) * (int(np.ptp(north)) + 1) <= _MAX_BOX_CELLS:
+            return np.arange(len(east))
+        low, high = self._area_box() if self._area_deg else _densest(east, north)
+        place = np.stack([east, north], axis=1)
+        order = np.argsort(np.maximum(low - place, place - high).max(axis=1).clip(0), kind="stable")
+        n_east = np.maximum.accumulate(east[order]) - np.minimum.accumulate(east[order]) + 1
+        n_north = np.maximum.accumulate(north[order]) - np.minimum.accumulate(north[order]) + 1
+        return np.sort(order[n_east * n_north <= _MAX_BOX_CELLS])
+
+    def _area_box(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Find the first and the last cell, east and north, of the box about the area to be cleared."""
+        latitude_deg, longitude_deg, cell_m = _plane(self._looks[0].cells)
+        plane, corners_deg = (
+            LocalFrame(latitude_deg=latitude_deg, longitude_deg=longitude_deg),
+            np.array(self._area_deg),
+        )
+        corner = np.floor(plane.to_enu(corners_deg[:, 0], corners_deg[:, 1], 0.0)[:, :2] / cell_m).astype(np.int64)
+        return corner.min(axis=0), corner.max(axis=0)
+
     def _laid_out(
         self, cell: NDArray[np.int64], exponent: Array, n_looks: NDArray[np.intp], towards: NDArray[np.uint64]
     ) -> Clearance:
         east = (cell + _KEY // 2) // _KEY
         north = cell - east * _KEY
-        kept = _around_the_densest(east, north)
+        kept = self._that_fit(east, north)
         n_elsewhere = len(cell) - len(kept)
         east, north, exponent, n_looks, towards = east[kept], north[kept], exponent[kept], n_looks[kept], towards[kept]
         first_east, first_north = int(east.min()), int(north.min())
@@ -269,23 +299,14 @@ class ClearanceMap:
         )
 
 
-def _around_the_densest(east: NDArray[np.int64], north: NDArray[np.int64]) -> NDArray[np.intp]:
-    """Choose the cells to lay out, rising indices: all, or, if their box is too large, those nearest to the densest
-    part.
-
-    A position that was wrong by kilometres, or a second site, must not cost the memory of all that lies between.
-    """
-    if (int(np.ptp(east)) + 1) * (int(np.ptp(north)) + 1) <= _MAX_BOX_CELLS:
-        return np.arange(len(east))
+def _densest(east: NDArray[np.int64], north: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Find the middle cell, as first and last, of the square with most cells."""
     _, square, n_cells = np.unique(
         east // _DENSE_CELLS * _KEY + north // _DENSE_CELLS, return_inverse=True, return_counts=True
     )
     densest = square == np.argmax(n_cells)
-    middle_east, middle_north = int(np.median(east[densest])), int(np.median(north[densest]))
-    order = np.argsort(np.maximum(np.abs(east - middle_east), np.abs(north - middle_north)), kind="stable")
-    n_east = np.maximum.accumulate(east[order]) - np.minimum.accumulate(east[order]) + 1
-    n_north = np.maximum.accumulate(north[order]) - np.minimum.accumulate(north[order]) + 1
-    return np.sort(order[n_east * n_north <= _MAX_BOX_CELLS])
+    middle = np.array([np.median(east[densest]), np.median(north[densest])]).astype(np.int64)
+    return middle, middle
 
 
 def _plane(cells: SurveyedCells) -> tuple[float, float, float]:

@@ -110,7 +110,7 @@ class PerceptionChain:
         self._store = ContactStore(records)
         self._performance = configured_performance(config)
         self.pipeline = make_pipeline(config, self._store)
-        self._searched = ClearanceMap(self._performance)
+        self._searched = ClearanceMap(self._performance, config.plan.area_deg)
         self._area = _clear_area(config, self._performance)
         self._coverage = CoverageStore(records)
         self._tally = Tally()

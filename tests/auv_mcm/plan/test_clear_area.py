@@ -25,6 +25,7 @@ from auv_mcm.settings.plan_settings import PlanConfig
 from auv_mcm.settings.vehicle_settings import VehicleConfig
 from tests.auv_mcm.plan.test_propose import clearance_m, contact
 from tests.make.looks import EvenLook
+from tests.make.records import cells_of, patch_of
 
 AREA = ((0.0, 0.0), (0.0, 60.0), (80.0, 60.0), (80.0, 0.0))
 FENCE = ((-70.0, -70.0), (-70.0, 130.0), (150.0, 130.0), (150.0, -70.0))
@@ -60,7 +61,8 @@ class Mission:
         )
         self.model = model or EvenLook(same=0.7)
         self.is_blind, self.shown_after_s = is_blind, shown_after_s
-        self.planner, self.searched = ClearArea(self.config, self.model), ClearanceMap(self.model)
+        self.planner = ClearArea(self.config, self.model)
+        self.searched = ClearanceMap(self.model, self.config.plan.area_deg)
         self.look_again = LookAgain(self.config)
         self.contacts: tuple[Contact, ...] = ()
         self.now_s, self.place_m, self.heading_rad = 1000.0, (-20.0, -20.0), 0.0
@@ -286,6 +288,14 @@ def test_across_the_antimeridian_it_is_the_same_survey() -> None:
     assert mission.run().startswith("done")
     assert {math.copysign(1.0, entry.longitude_deg) for entry, _ in mission.flown} == {1.0, -1.0}
     mission.assert_kept_to_limits()
+
+
+def test_an_area_is_cleared_behind_a_long_way_that_the_sonar_saw_too() -> None:
+    """Twelve kilometres aslant span a larger map than is laid out, and hold more cells than the area."""
+    mission = Mission()
+    way = {(beside - step, -step): 1.0 for step in range(60, 3060) for beside in range(8)}
+    mission.searched.add(patch_of(side="port", start_s=0.0, stop_s=900.0, cells=cells_of(way)))
+    assert mission.run().startswith("done")
 
 
 def test_an_area_that_no_leg_inside_the_fence_sees_cannot_be_cleared() -> None:
