@@ -33,6 +33,7 @@ from auv_mcm.settings.config import Config
 MAX_VAIN_PASSES: Final = 2
 SHOWN_AFTER_S: Final = 120.0  # longest time from the end of a leg to the tiles that show it
 _VAIN: Final = 0.1  # of what was expected
+_CLOCK_STEP_S: Final = 1.0  # s: a step back of less is a late ping, of more a clock that was set, as the intake has it
 _SAME_PLACE_M: Final = 1.0  # m: ends of legs nearer than that are the same request
 
 
@@ -91,13 +92,15 @@ class ClearArea:
     def see(self, ping: Ping) -> None:
         """Take a ping that was fed to the pipeline: it shows how far the sonar reaches."""
         if math.isfinite(ping.time_s):
+            if ping.time_s < self._now_s - _CLOCK_STEP_S:  # no leg before can be compared with what comes
+                self._pending, self._shown_until_s = [], {}
             self._now_s = ping.time_s
         reach_m = max(map(_reach_m, (ping.port, ping.starboard)))
         self._slant_range_m = min(reach_m, self._config.sonar.max_range_m) if reach_m > 0.0 else self._slant_range_m
 
     def add(self, patch: CoveragePatch) -> None:
         """Take a patch that has become part of the clearance."""
-        self._shown_until_s[patch.side] = max(self._shown_until_s.get(patch.side, -math.inf), patch.stop_s)
+        self._shown_until_s[patch.side] = patch.stop_s
 
     def propose(
         self,

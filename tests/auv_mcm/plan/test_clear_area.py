@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import pairwise
 
 import msgspec
@@ -52,6 +52,7 @@ class Mission:
         is_blind: bool = False,
         command: bool = True,
         shown_after_s: float = 40.0,
+        utc_s: Callable[[float], float] = lambda now_s: now_s,
     ) -> None:
         self.frame = LocalFrame(latitude_deg=43.0, longitude_deg=longitude_deg)
         self.fence, self.max_track_m = fence, max_track_m
@@ -60,7 +61,7 @@ class Mission:
             vehicle=VehicleConfig(command=command, fence_deg=self.globe(fence)),
         )
         self.model = model or EvenLook(same=0.7)
-        self.is_blind, self.shown_after_s = is_blind, shown_after_s
+        self.is_blind, self.shown_after_s, self.utc_s = is_blind, shown_after_s, utc_s
         self.planner = ClearArea(self.config, self.model)
         self.searched = ClearanceMap(self.model, self.config.plan.area_deg)
         self.look_again = LookAgain(self.config)
@@ -90,7 +91,7 @@ class Mission:
         trace = EchoTrace(
             samples=np.zeros(100, dtype=np.uint8), first_range_m=0.0, spacing_m=math.hypot(self.sight_m, 5.0) / 100.0
         )
-        self.planner.see(Ping(number=1, time_s=self.now_s, port=trace, starboard=trace))
+        self.planner.see(Ping(number=1, time_s=self.utc_s(self.now_s), port=trace, starboard=trace))
 
     def plan(self) -> bool:
         """Whether there is a new one. The clock goes on by as much as a vehicle waits."""
@@ -98,7 +99,8 @@ class Mission:
             self.searched.add(patch)
             self.planner.add(patch)
         self.coming = [due for due in self.coming if due not in reported]
-        request = self.look_again.request((*self.geodetic(self.place_m), self.heading_rad), self.now_s, self.now_s)
+        pose = *self.geodetic(self.place_m), self.heading_rad
+        request = self.look_again.request(pose, self.utc_s(self.now_s), self.now_s)
         if request is None:
             return False
         self.proposals.append(self.propose(request))
@@ -149,7 +151,7 @@ class Mission:
         course = math.atan2(*(leave - entry))
         for side, sense in (("port", -1.0), ("starboard", 1.0)):
             cells = None if self.is_blind else self._cells(entry, leave, course, sense)
-            patch = drawn_patch(side, began_s, self.now_s + 10.0, cells)  # type: ignore[arg-type]  # a side by its name
+            patch = drawn_patch(side, self.utc_s(began_s), self.utc_s(self.now_s) + 10.0, cells)  # type: ignore[arg-type]  # a side by its name
             self.coming.append((self.now_s + self.shown_after_s, patch))
 
     def _cells(
@@ -258,6 +260,11 @@ def test_what_a_leg_has_shown_is_not_expected_once_more() -> None:
 
 def test_a_leg_that_is_shown_while_it_is_sailed_is_not_in_vain() -> None:
     mission = Mission(model=EvenLook(0.3, same=0.2), shown_after_s=0.0)
+    assert mission.run().startswith("done")
+
+
+def test_a_clock_that_is_set_back_gives_up_nothing_that_legs_show() -> None:
+    mission = Mission(model=EvenLook(0.3, same=0.2), utc_s=lambda now_s: now_s if now_s < 1300.0 else now_s - 3600.0)
     assert mission.run().startswith("done")
 
 
