@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Sequence
 from struct import Struct
 from typing import Final
@@ -55,6 +55,7 @@ _OFTEN: Final = 5  # messages of a subsystem, after which it counts (chosen)
 _STRAY_FRACTION: Final = (
     0.05  # of the commonest subsystem's messages; fewer of another come of damaged headers (chosen)
 )
+_RECENT: Final = 200  # messages that are counted: 5 s at 20 pings a second, after which a frequency that ended is left
 _PADDING_BYTES: Final = 64  # that a data message may have behind its samples
 _LENGTH_KNOWN_BYTES: Final = HEADER_BYTES + 116  # of a data message, to know how many samples it has
 _MAX_WEIGHTING: Final = 40  # power of two that scales samples: up to it squares of 16-bit samples fit a 32-bit float
@@ -208,7 +209,7 @@ class JsfDecoder:
         self.counters = self._framer.counters
         self._pairer = SidePairer(self._framer.counters)
         self._subsystem = subsystem or HIGH_FREQUENCY
-        self._heard: Counter[int] | None = Counter() if subsystem is None else None
+        self._heard: deque[int] | None = deque(maxlen=_RECENT) if subsystem is None else None  # subsystems
         self._is_notified = False
         self._sound_speed_mps = NOMINAL_SOUND_SPEED_MPS
         self._sensor_speed_mps: float | None = None  # of sound, by a sensor's own message
@@ -242,11 +243,12 @@ class JsfDecoder:
                 found += self._frames(arrived)
         return found
 
-    def _follow_highest(self, subsystem: int, heard: Counter[int]) -> list[Notice]:
+    def _follow_highest(self, subsystem: int, heard: deque[int]) -> list[Notice]:
         """Use the highest frequency that is heard often enough to come of no damage; report the choice once."""
-        heard[subsystem] += 1
-        enough = max(_OFTEN, _STRAY_FRACTION * max(heard.values()))
-        often = sorted(known for known, n_messages in heard.items() if n_messages >= enough)
+        heard.append(subsystem)
+        counts = Counter(heard)
+        enough = max(_OFTEN, _STRAY_FRACTION * max(counts.values()))
+        often = sorted(known for known, n_messages in counts.items() if n_messages >= enough)
         if not often:
             return []
         self._subsystem = often[-1]

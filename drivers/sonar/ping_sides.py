@@ -8,7 +8,7 @@ SonarView goes by the angle). Heads that count from one, or that all call themse
 from __future__ import annotations
 
 import math
-from collections import Counter
+from collections import Counter, deque
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
@@ -22,6 +22,7 @@ _LOOK_TOLERANCE_DEG: Final = 30.0  # of +-90 degrees, within which an angle is o
 _CLOSE_DEG: Final = 2.0  # an angle against north is taken only where it is as close, and the other is not (chosen)
 _SETTLED: Final = 8  # profiles after which it is known which channels there are (chosen)
 _OFTEN: Final = 3  # profiles of a frequency, after which it counts (chosen)
+_RECENT: Final = 200  # profiles that are counted: 5 s at 20 pings a second, after which a frequency that ended is left
 _SAME_FREQUENCY: Final = 1.25  # ratio: the heads of one sonar differ by less, its frequencies by more (chosen)
 
 ToSide = Literal["port", "starboard"]
@@ -62,7 +63,7 @@ class HeadSides:
         self.notices: list[Notice] = []
         self._counters = counters
         self._by_number, self._lowest, self._port_channel = by_number, subsystem == 20, port_channel
-        self._hz: Counter[int] = Counter()
+        self._hz: deque[int] = deque(maxlen=_RECENT)
         self._heads: set[tuple[int, int]] = set()  # channel and source of those in use
         self._used_hz = 0
         self._n_placed = 0
@@ -124,8 +125,8 @@ class HeadSides:
     def _is_in_use(self, hz: int) -> bool:
         """Check whether a profile's frequency is the one in use."""
         hz = round(hz, -3)
-        self._hz[hz] += 1
-        often = [known for known, n in self._hz.items() if n >= _OFTEN] or [hz]
+        self._hz.append(hz)
+        often = [known for known, n in Counter(self._hz).items() if n >= _OFTEN] or [hz]
         used = min(often) if self._lowest else max(often)
         if not is_same_frequency(used, self._used_hz):
             self._used_hz = used

@@ -294,6 +294,12 @@ def test_the_low_frequency_is_used_where_it_is_alone() -> None:
     assert sum(isinstance(item, SonarFrame) for item in items_of(decoder, *stream)) >= 37
 
 
+def test_a_lower_frequency_is_used_once_the_higher_has_ended() -> None:
+    stream = [side(0, ping_number=n, subsystem=21 if n < 1000 else 20) for n in range(1400)]
+    numbers = [item.number for item in items_of(JsfDecoder(), *stream) if isinstance(item, SonarFrame)]
+    assert {*range(1000), *range(1200, 1400)} <= set(numbers)
+
+
 def test_a_damaged_header_changes_no_frequency() -> None:
     decoder = JsfDecoder()
     stream = [side(0, ping_number=n, subsystem=22 if n % 50 == 7 else 21) for n in range(600)]

@@ -146,6 +146,16 @@ def test_of_two_frequencies_the_higher_is_used_or_the_one_configured(
     assert decoder.counters["ping_protocol.not_used.frequency"] >= 2 * N_PINGS
 
 
+def test_a_lower_frequency_is_used_once_the_higher_has_ended() -> None:
+    profiles = [
+        head(n, size, channel_number=number, ping_hz=1_200_000 if n < 300 else 450_000)
+        for n in range(500)
+        for number, size in enumerate((PORT, STARBOARD))
+    ]
+    frames, _ = decoded(profiles)
+    assert {*range(300), *range(400, 500)} <= {frame.number for frame in frames}
+
+
 @pytest.mark.parametrize(
     ("transducer_deg", "vehicle_deg", "side"),
     [
