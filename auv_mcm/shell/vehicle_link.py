@@ -14,13 +14,16 @@ from typing import Any, Final
 from auv_mcm.clean_text import clean
 from auv_mcm.clock import Clock
 from auv_mcm.defects import Defect, caught, warn_of
+from auv_mcm.geometry.fix import Fix, chord_m, course_rad, fix_at
 from auv_mcm.plan.look_again import LookAgain, LooksSoFar, PlanRequest, Proposal
 from auv_mcm.records import NAN, Contact, EarlyContact, NavSample, Notice, SourceEvent, Waypoint
 from auv_mcm.settings.config import Config
 from auv_mcm.source import Health, VehiclePilot
 
-# s without a position of the vehicle, after which health is a fault and no leg is requested
-_POSITION_LOST_S: Final = 3.0
+# s without a position of the vehicle, after which health is a fault and no leg is requested; without a heading, after
+# which the course serves
+_LOST_S: Final = 3.0
+_COURSE_M: Final = 5.0  # of way that gives a course: as that of planning, so that positions may scatter
 _LAST_WORDS_S: Final = 0.5  # s for the last report to go out, and again where it was not acknowledged
 
 
@@ -41,6 +44,8 @@ class VehicleLink:
         self._parted = ""
         self._position_deg = NAN, NAN
         self._heading_rad = NAN
+        self._heading_s = -math.inf  # of a heading that was measured
+        self._from: Fix | None = None  # where the course begins
         self._position_s = -math.inf
         self._time_s = NAN
 
@@ -77,11 +82,20 @@ class VehicleLink:
         """Take any event of the source, as it comes."""
         if not isinstance(event, NavSample):
             return
+        now_s = self._clock.monotonic_s()
         if math.isfinite(event.heading_rad):
-            self._heading_rad = event.heading_rad
+            self._heading_rad, self._heading_s = event.heading_rad, now_s
         if math.isfinite(event.latitude_deg) and math.isfinite(event.longitude_deg) and not event.position_leaps:
-            self._position_deg, self._position_s = (event.latitude_deg, event.longitude_deg), self._clock.monotonic_s()
+            self._position_deg, self._position_s = (event.latitude_deg, event.longitude_deg), now_s
             self._time_s = event.time_s
+            self._follow_course(fix_at(event.time_s, *self._position_deg), now_s)
+
+    def _follow_course(self, fix: Fix, now_s: float) -> None:
+        """Take the course for the heading where none comes."""
+        if self._from is None or chord_m(self._from, fix) >= _COURSE_M:
+            if self._from is not None and now_s - self._heading_s > _LOST_S:
+                self._heading_rad = course_rad(self._from, fix)
+            self._from = fix
 
     def report(self, contacts: Iterable[Contact]) -> None:
         """Report contacts that are on disk, new or changed, to the vehicle and to planning."""
@@ -103,7 +117,7 @@ class VehicleLink:
     def attend(self, faults: Sequence[str], ask: Callable[[PlanRequest], bool]) -> list[Notice]:
         """Report and request what is due, twice a second while perception runs. ask: has a plan made, for `take`."""
         now_s = self._clock.monotonic_s()
-        position_lost = now_s - self._position_s > _POSITION_LOST_S
+        position_lost = now_s - self._position_s > _LOST_S
         faults = [self._ending] if self._ending else [*faults, "there is no position"] if position_lost else faults
         area = self._look_again.area
         self._report_health(

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import math
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -16,7 +17,7 @@ import msgspec
 import pytest
 
 from auv_mcm.errors import AuvMcmError
-from auv_mcm.records import Contact, Notice, Waypoint
+from auv_mcm.records import NAN, Contact, Notice, Waypoint
 from auv_mcm.settings.config import Config, ServiceConfig
 from auv_mcm.settings.plan_settings import PlanConfig
 from auv_mcm.settings.vehicle_settings import VehicleConfig
@@ -72,7 +73,7 @@ class Ports:
     def __init__(self, vehicle: Vehicle | None = None) -> None:
         self.vehicle = vehicle or Vehicle()
         self.wrong: list[str] = []
-        self.position_leaps = False
+        self.unlike: dict[str, Any] = {}  # what navigation gives otherwise
         self.is_served = False
         self._stopped = False
 
@@ -100,7 +101,7 @@ class Ports:
     async def run(self, sink: EventSink) -> None:
         number = 0
         while not self._stopped:
-            sink.push(msgspec.structs.replace(fake.navigation(number % 10), position_leaps=self.position_leaps))
+            sink.push(msgspec.structs.replace(fake.navigation(number % 10), **self.unlike))
             sink.push(fake.ping(number))
             number += 1
             await asyncio.sleep(0.01)
@@ -184,7 +185,7 @@ def test_what_is_wrong_is_reported_and_that_it_is_well_again(tmp_path: Path) -> 
 
 def test_a_position_that_leaps_is_none_to_plan_from(tmp_path: Path) -> None:
     ports = Ports()
-    ports.position_leaps = True
+    ports.unlike = {"position_leaps": True}
     serve(tmp_path, ports, lambda: "fault" in ports.vehicle.words(), fake.Undecided)
     assert ("fault", "there is no position") in ports.vehicle.reports
     assert "plan" not in ports.vehicle.words()
@@ -221,6 +222,14 @@ def test_legs_are_requested_and_the_last_request_is_among_the_results(tmp_path: 
     written = json.loads((results / "waypoints.geojson").read_bytes())["features"]
     assert "C0000" in json.dumps(written)
     assert "plan" not in ports.vehicle.words()[ports.vehicle.words().index("release") :]
+
+
+def test_without_a_compass_legs_are_requested_from_the_course(tmp_path: Path) -> None:
+    ports = Ports()
+    ports.unlike = {"heading_rad": NAN}
+    serve(tmp_path, ports, lambda: "plan" in ports.vehicle.words(), fake.Undecided)
+    start = next(what for word, what in ports.vehicle.reports if word == "plan")[0]
+    assert abs(math.sin(start.heading_rad)) < 1e-6, "it goes north, and back at once"
 
 
 @pytest.mark.filterwarnings("ignore::auv_mcm.defects.DefectWarning")
