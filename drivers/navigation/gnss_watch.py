@@ -20,6 +20,7 @@ _N_GOOD: Final = 3  # after a doubt so many fixes in a row must be good
 
 class _Seen(NamedTuple):
     time_s: float
+    antenna: Position
     position: Position
     travelled: Travelled
 
@@ -33,17 +34,21 @@ class GnssWatch:
         self._same_since: _Seen | None = None
         self._n_good = _N_GOOD
 
-    def doubt(self, time_s: float, position: Position, depth_m: float | None, travelled: Travelled) -> Doubt | None:
+    def doubt(
+        self, time_s: float, antenna: Position, position: Position, depth_m: float | None, travelled: Travelled
+    ) -> Doubt | None:
         """Return why a position is rejected; None if it is accepted.
 
         Parameters
         ----------
+        antenna, position
+            As the receiver sends it, and of the vehicle's reference, which turns about it.
         depth_m
             None if not known.
         travelled
             Run by reckoning.
         """
-        seen = _Seen(time_s, position, travelled)
+        seen = _Seen(time_s, antenna, position, travelled)
         doubt = self._judge(seen, depth_m)
         self._seen.append(seen)
         if doubt is not None:
@@ -53,7 +58,7 @@ class GnssWatch:
         return "recovering" if self._n_good < _N_GOOD else None
 
     def _judge(self, seen: _Seen, depth_m: float | None) -> Doubt | None:
-        if self._same_since is None or self._same_since.position[:2] != seen.position[:2]:
+        if self._same_since is None or self._same_since.antenna[:2] != seen.antenna[:2]:
             self._same_since = seen
         if depth_m is not None and depth_m > self._surface_depth_m:
             self._seen.clear()

@@ -136,7 +136,7 @@ class NavMerge:
                 continue
             if quantity == "position":
                 measured = self._without_arm(reading, unit)
-                reading = self._believed(channel, time_s, measured)
+                reading = self._believed(channel, time_s, reading, measured)
                 if reading is None and self._is_for_perception(channel, time_s, measured):
                     leap = measured
             elif quantity == "speed" and unit.surface_only and self._submerged(fix.source):
@@ -293,11 +293,12 @@ class NavMerge:
         down_m = arm_north_east_down(unit.lever_arm_m, 0.0, *attitude)[2]
         return value_m - down_m if quantity == "depth" else value_m + down_m
 
-    def _believed(self, channel: Channel, time_s: float, position: Position) -> Position | None:
+    def _believed(self, channel: Channel, time_s: float, antenna: Position, position: Position) -> Position | None:
         """Accept the position, unless a satellite receiver cannot have it or the vehicle cannot have got there."""
         source = channel.health.source
         if channel.watch is not None:
-            channel.doubt = channel.watch.doubt(time_s, position, self._fresh("depth"), self._reckoner.travelled)
+            travelled = self._reckoner.travelled
+            channel.doubt = channel.watch.doubt(time_s, antenna, position, self._fresh("depth"), travelled)
             if channel.doubt is not None:
                 self.counters[f"nav.gnss_{channel.doubt}.{source}"] += 1
                 return None

@@ -48,6 +48,17 @@ def test_a_receiver_that_freezes_under_water_is_found_out_and_the_way_is_reckone
     assert merged.position_sigma_m > 3.0
 
 
+def test_a_receiver_off_the_reference_that_freezes_is_found_out_though_the_vehicle_yaws() -> None:
+    """The reference turns about the antenna, and so is never at the same place twice."""
+    random = np.random.Generator(np.random.PCG64(6))
+    gps = [fix("gps", t + 0.05, **place(0.0, min(t, 30.0))) for t in range(120)]
+    yaw = [0.005 * random.standard_normal() % math.tau for _ in range(1200)]
+    way = [fix("dvl", 0.1 * n, heading_rad=yaw[n], speed_mps=1.0, drift_rad=0.0) for n in range(1200)]
+    merged = merge(gps=structs.replace(GPS, lever_arm_m=(1.5, 0.3, -0.5)), dvl=DVL)
+    samples, _ = run(merged, gps + way)
+    assert max(math.dist((east, north), (-0.3, t - 1.5)) for t, east, north in track(samples)) < 7.0
+
+
 def test_a_diving_receiver_is_refused_at_once_by_depth_and_needs_three_good_fixes_afterwards() -> None:
     poses = survey(90, circle=False)
     gps = [fix("gps", t + 0.05, **place(east, north)) for t, east, north, _ in poses[::10]]
