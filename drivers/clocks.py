@@ -24,6 +24,7 @@ _BITS_PER_BYTE: Final = 10  # 8N1
 _RESOLUTION_NS: Final = 10_000_000  # of the window's end, which bounds how many messages it holds
 _LATEST_S: Final = 1e12  # no clock reports more
 _STEP_NS: Final = 500_000_000  # a device whose time is off by more was set or started anew
+_MAX_NOTICES: Final = 20  # per clock: one whose messages have two times would raise one with each
 _LATE_FOR_NS: Final = 3_000_000_000  # unless the link stalled, which does not last as long
 _UTC_STEP_NS: Final = 100_000_000  # ns: an offset of UTC that differs by more is a step, by less it is followed slowly
 _UTC_SLEW_PPM: Final = 500  # as fast as NTP slews
@@ -133,12 +134,15 @@ class DeviceClock:
             self._late_since_ns = now_ns
         return "fell back" if now_ns - self._late_since_ns >= _LATE_FOR_NS else None
 
-    def _jump_notice(self, why: str, late_ns: int) -> Notice:
+    def _jump_notice(self, why: str, late_ns: int) -> Notice | None:
         self.counters["clock.anchored_anew"] += 1
+        if self.counters["clock.anchored_anew"] > _MAX_NOTICES:
+            return None
+        last = " Further ones are only counted." if self.counters["clock.anchored_anew"] == _MAX_NOTICES else ""
         text = (
             f"the clock of {self._source} {why}: it is {abs(late_ns) / _NS:.3f} s from where it should be. Its times "
             "are taken from the arrival of its messages until they settle. If this repeats, check the device's supply "
-            "and its time synchronisation."
+            f"and its time synchronisation.{last}"
         )
         return Notice(code="device_clock_anchored_anew", text=text, place=self._source)
 

@@ -237,9 +237,9 @@ class NavMerge:
         if clock is None:
             clock = self._clocks[fix.source] = DeviceClock(f"navigation unit '{fix.source}'")
         host_time = clock.host_time(fix.time_utc_s, fix.received, delay_s=delay_s + fix.age_s)
-        if host_time.notice is not None:
-            self.counters[f"nav.clock_anchored_anew.{fix.source}"] += 1
-            events.append(host_time.notice)
+        if n_anchored_anew := clock.counters["clock.anchored_anew"]:
+            self.counters[f"nav.clock_anchored_anew.{fix.source}"] = n_anchored_anew
+        events += [] if host_time.notice is None else [host_time.notice]
         return (fix.received.mono_ns - host_time.mono_ns) * 1e-9
 
     def _channel(self, quantity: Quantity, source: str, unit: NavUnitSettings) -> Channel:

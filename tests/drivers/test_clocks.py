@@ -189,6 +189,15 @@ def test_a_device_that_fell_back_is_anchored_anew_once_it_is_no_stall() -> None:
     assert times[0].residual_ns > 9 * NS
 
 
+def test_a_device_with_two_times_is_reported_twenty_times_and_counted() -> None:
+    clock = DeviceClock("inertial unit")
+    times = [clock.host_time(100.0 + k * 0.1 + k % 2 * 18.0, stamp(BOOT_NS + k * NS // 10)) for k in range(400)]
+    notices = [time.notice.text for time in times if time.notice is not None]
+    assert len(notices) == 20
+    assert notices[-1].endswith("only counted.")
+    assert clock.counters["clock.anchored_anew"] == 399
+
+
 def test_a_stalled_link_leaves_the_times_alone() -> None:
     stream = messages(1, 100, delay_s=0.0)
     stall_end_ns = stream[70].true_ns
