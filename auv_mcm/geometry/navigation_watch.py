@@ -5,6 +5,7 @@ It changes no pose and rejects nothing; it sees every sample as it comes, live a
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections import deque
 from collections.abc import Sequence
@@ -67,7 +68,7 @@ class NavigationWatch:
         self._raised: set[str] = set()
         self._heading_rad = math.nan
         self._speed_mps = math.nan
-        self._chord_start: tuple[Fix, list[float]] | None = None
+        self._chord_start: tuple[Fix, complex] | None = None  # and the sum of headings since then, as unit vectors
         self._chords: deque[tuple[float, float]] = deque(maxlen=_N_CHORDS)  # course, heading less course; unwrapped
         self._still_since: Fix | None = None
         self._still_way_m = 0.0
@@ -86,7 +87,8 @@ class NavigationWatch:
         if math.isfinite(sample.heading_rad):
             self._heading_rad = sample.heading_rad
             if self._chord_start is not None:
-                self._chord_start[1].append(sample.heading_rad)
+                fix, headings = self._chord_start
+                self._chord_start = fix, headings + cmath.rect(1.0, sample.heading_rad)
         has_position = (
             abs(sample.latitude_deg) <= 90.0
             and abs(sample.longitude_deg) <= 360.0
@@ -128,7 +130,7 @@ class NavigationWatch:
 
     def _check_heading(self, fix: Fix) -> list[Notice]:
         start = self._chord_start
-        headings = [self._heading_rad] if math.isfinite(self._heading_rad) else []
+        headings = cmath.rect(1.0, self._heading_rad) if math.isfinite(self._heading_rad) else 0j
         if start is None or not 0.0 <= fix.time_s - start[0].time_s <= _MAX_CHORD_S:
             self._chords.clear()
             self._chord_start = (fix, headings)
@@ -136,8 +138,7 @@ class NavigationWatch:
         if chord_m(start[0], fix) < _CHORD_M:
             return []
         self._chord_start = (fix, headings)
-        mean = sum(complex(math.cos(heading), math.sin(heading)) for heading in start[1])
-        course, off = course_rad(start[0], fix), math.atan2(mean.imag, mean.real)
+        course, off = course_rad(start[0], fix), cmath.phase(start[1])
         off -= course
         if self._chords:
             course, off = _unwrapped(course, self._chords[-1][0]), _unwrapped(off, self._chords[-1][1])

@@ -154,3 +154,13 @@ def test_a_restart_goes_on_watching() -> None:
     again = thaw(freeze(first, {}), {})
     found += [notice for sample in lying[150:] for notice in again.add(sample)]
     assert found == expected
+
+
+def test_headings_without_positions_take_no_memory() -> None:
+    watch = NavigationWatch()
+    for sample in line(80):
+        watch.add(sample)
+    n_bytes = len(freeze(watch, {}))
+    for number in range(5000):
+        watch.add(NavSample(time_s=START_S + 10.0 + 0.01 * number, heading_rad=0.3 + 1e-5 * number))
+    assert len(freeze(watch, {})) < n_bytes + 100
