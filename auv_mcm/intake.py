@@ -24,6 +24,8 @@ BLOCK_PINGS: Final = 32  # pings processed at once: more delays tiles, fewer cos
 _RATE_HALF_SPAN_S: Final = 1.0  # rotation rates are taken over two seconds: fixes and compasses are coarser than that
 _CLOCK_STEP_S: Final = 1.0  # s: a step back of less is a late ping, of more a clock that was set
 _MAX_HELD: Final = 1024  # navigation samples kept until pings step back too, or do not: 20 s of 50 Hz
+# navigation samples without a ping: 20 MB, ten minutes of 100 Hz. A sonar that is off must not let memory grow.
+_MAX_WITHOUT_PING: Final = 1 << 16
 _MIN_HELD: Final = 3  # in a row, by which navigation has stepped back: one or two are late, or a glitch
 _MIN_SEGMENT_GAP_S: Final = 2.0  # s without a ping that end a segment, whatever navigation may bridge
 _MIN_STEP_M: Final = 1e-3  # m between pings: keeps distances along the track increasing when the vehicle stands
@@ -85,6 +87,7 @@ class Intake:
         self._run: list[Ping] = []  # of the pending pings, those that make the next block, once that is known
         self._squint_rad: float | None = None  # of the newest ping
         self._newest_s = math.nan  # of the pings: one wrong stamp of navigation must not end all waiting for it
+        self._n_without_ping = 0  # navigation samples since the newest ping
         self._leap: Ping | None = None  # after a hole in time, until another ping confirms its stamp
         self._longest_hole_s = max(_MIN_SEGMENT_GAP_S, config.navigation.max_gap_s)
         self._previous_speed_mps = math.nan
@@ -105,6 +108,7 @@ class Intake:
         Samples that step back wait until pings do: where a clock is set back, both go on in its new time, and what
         still comes in the old one is refused.
         """
+        self._n_without_ping += 1
         newest_s = self._navigation.span_s[1]
         if not newest_s - sample.time_s > _CLOCK_STEP_S:
             self._refuse_held()
@@ -118,6 +122,15 @@ class Intake:
         if len(self._held) >= _MIN_HELD and abs(self._newest_s - sample.time_s) < abs(self._newest_s - newest_s):
             self._renew_navigation()  # the pings stepped back before: what came since then was late
         return self.take_notices()
+
+    def let_go(self) -> list[PingBlock | SegmentEnd]:
+        """Release the pings that wait, and forget navigation that later ones do not need, where none come any more."""
+        if self._n_without_ping < _MAX_WITHOUT_PING:
+            return []
+        self._n_without_ping = 0
+        released = self._release(everything=True)
+        self._navigation.forget_before(self._navigation.span_s[1] - self._max_wait_s)
+        return released
 
     def _refuse_held(self) -> None:
         if self._held:
@@ -173,6 +186,7 @@ class Intake:
             self._counters["ping.gap"] += 1
             self._pending.append(SegmentEnd())
         self._newest_s = ping.time_s
+        self._n_without_ping = 0
         self._pending.append(ping)
         return done + self._release(everything=False)
 

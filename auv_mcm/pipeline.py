@@ -235,7 +235,8 @@ class Pipeline:
             return [event]
         if isinstance(event, NavSample):
             with self._timed("intake"):
-                return [*self._intake.add_navigation(event), *self._navigation_watch.add(event)]
+                found: list[PipelineEvent] = [*self._intake.add_navigation(event), *self._navigation_watch.add(event)]
+                return found + self._run(released) if (released := self._intake.let_go()) else found
         self._counts["ping.received"] += 1
         prepared = self._prepare(event)
         if prepared is None:

@@ -235,7 +235,7 @@ class NavBuffer:
         for channel in self._all:
             if channel is not self._way:
                 channel.forget_before(time_s)
-        self._way.forget_before(min(time_s, self._position.first_s))
+        self._way.forget_before(min(time_s, max(self._position.first_s, time_s - MAX_HOLE_S)))
 
     @property
     def wait_s(self) -> float:

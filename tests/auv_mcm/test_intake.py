@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from msgspec import structs
 from numpy.typing import NDArray
 
+from auv_mcm.frozen_state import freeze
 from auv_mcm.intake import BLOCK_PINGS, Intake, PingBlock, SegmentEnd
 from auv_mcm.records import EchoTrace, NavSample, Notice, Ping, PoseTrack
 from auv_mcm.settings.config import Config
@@ -296,6 +297,20 @@ def along(fed: Fed) -> list[NDArray[np.float64]]:
         else:
             found.append(fed.intake.place_along_track(item).along_m)
     return found
+
+
+def test_a_sonar_that_is_off_lets_no_memory_grow_and_costs_no_ping(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("auv_mcm.intake._MAX_WITHOUT_PING", 1000)
+    fed, n_bytes = Fed().feed(mission(50)), []
+    for index in range(26, 12_026):
+        fed.feed([navigation(index)])
+        fed.released += fed.intake.let_go()
+        if index % 3000 == 0:
+            n_bytes.append(len(freeze(fed.intake, {})))
+    assert max(n_bytes) < 1.2 * n_bytes[0]
+    fed.feed(ping(number) for number in range(24_000, 24_040)).flush()
+    assert fed.segments == [[*range(50)], [*range(24_000, 24_040)]]
+    assert not any(block.poses.stale.any() for block in fed.blocks)
 
 
 def test_distance_is_speed_integrated_over_time_across_blocks() -> None:
