@@ -27,6 +27,8 @@ OnDisk: TypeAlias = Callable[[Callable[[], None]], Awaitable[None]]
 
 CLUTTER: Final = 1  # what a contact was announced as, one byte each
 NO_CLUTTER: Final = 2  # see CLUTTER
+# of one code, in a session: a unit that is slower than its valid_s is lost and back with each value, and all are kept
+_MAX_NOTICES: Final = 200
 
 
 class Announcements:
@@ -47,6 +49,7 @@ class Announcements:
         self._snippets = Snippets(self._folder)
         self._before = session.announced.is_clutter
         self.notices = list(session.memory.notices)
+        self._n_notices = Counter(notice.code for notice in self.notices)
         self.as_what = bytearray()
         for name, is_clutter in self._before.items():
             self._note(contact_number(name), CLUTTER if is_clutter else NO_CLUTTER)
@@ -146,11 +149,22 @@ class Announcements:
             case EarlyContact(contact=contact):
                 self._say(f"early contact {contact.id} {'is ' + event.became if event.became else 'withdrawn'}")
             case Notice():
+                if not self._is_kept(event):
+                    return
                 self.notices.append(event)
                 if event.for_the_record:
                     log.info("%s: %s", event.code, event.text)
                     return
                 self._say(f"notice {event.code}: {event.text}" + (f" ({event.place})" if event.place else ""))
+
+    def _is_kept(self, notice: Notice) -> bool:
+        """Check whether a notice is kept and printed, or one of too many with the same code."""
+        self._n_notices[notice.code] += 1
+        n_more = self._n_notices[notice.code] - _MAX_NOTICES
+        if n_more == 1:
+            self._say(f"notice {notice.code}: further ones are only counted")
+        self._counters["service.notices_not_kept"] += n_more > 0
+        return n_more <= 0
 
     def _note(self, number: int, as_what: int) -> int:
         """Note what a contact is announced as; return as what it was before, 0 for a new one."""

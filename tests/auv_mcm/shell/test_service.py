@@ -7,6 +7,7 @@ import asyncio
 import json
 import logging
 import socket
+from collections import Counter
 from functools import partial
 from pathlib import Path
 
@@ -68,6 +69,17 @@ def test_a_console_that_went_away_costs_no_result(tmp_path: Path) -> None:
     results = serve(tmp_path, Events(mission(30)), console=gone)
     assert journal(results) == ids(results) != []
     assert summary(results)["counters"]["service.console_failed"] > 1
+
+
+def test_notices_of_one_code_are_kept_two_hundred_times_and_then_counted(tmp_path: Path) -> None:
+    lines: list[str] = []
+    lost = [Notice(code="nav_quantity_lost", text=f"lost {number}") for number in range(500)]
+    other = Notice(code="port_down", text="gone")
+    content = summary(serve(tmp_path, Events([*lost, other, *mission(3)]), console=lines.append))
+    assert Counter(one["code"] for one in content["notices"]) == {"nav_quantity_lost": 200, "port_down": 1}
+    assert content["counters"]["service.notices_not_kept"] == 300
+    assert sum("nav_quantity_lost" in line for line in lines) == 201
+    assert "notice nav_quantity_lost: further ones are only counted" in lines
 
 
 def test_that_numpy_does_the_work_of_the_kernels_is_announced_and_in_every_health_line(
