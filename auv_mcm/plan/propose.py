@@ -12,7 +12,7 @@ import numpy as np
 from auv_mcm.clearance.area import in_plane
 from auv_mcm.geometry.fence import Points, circles_inside, runs_inside
 from auv_mcm.geometry.geodesy import LocalFrame
-from auv_mcm.plan.look_again import PlanRequest, Proposal
+from auv_mcm.plan.look_again import LEAVES_LEG_M, PlanRequest, Proposal
 from auv_mcm.plan.reinspect import plan_reinspection
 from auv_mcm.records import Contact, Waypoint
 from auv_mcm.settings.plan_settings import PlanConfig
@@ -43,7 +43,8 @@ def propose(
     while True:
         chosen = [contact for contact in wanted if contact.id not in refused]
         pose = request.latitude_deg, request.longitude_deg, request.heading_rad
-        waypoints = plan_reinspection(chosen, *pose, plan, lambda *ends: fence.holds(ends), more_time)
+        leaves_m = vehicle.arrival_radius_m + LEAVES_LEG_M
+        waypoints = plan_reinspection(chosen, *pose, plan, lambda *ends: fence.holds(ends), more_time, leaves_m)
         legs = _checked(waypoints, fence)
         outside = _outside(legs, fence)
         if outside and not more_time() and (n_inside := _n_inside(legs)):

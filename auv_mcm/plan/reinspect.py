@@ -68,6 +68,7 @@ def plan_reinspection(
     config: PlanConfig,
     may_run: Callable[[Place, Place], bool] = lambda entry, leaving: True,
     more_time: Callable[[], bool] = lambda: True,
+    settling_m: float = 0.0,
 ) -> tuple[Waypoint, ...]:
     """Plan way-points from the start pose past the `max_contacts` most undecided contacts, in sailing order.
 
@@ -85,6 +86,8 @@ def plan_reinspection(
         Whether a leg from place to place is wanted; others are planned only where a contact leaves no choice.
     more_time
         Whether a long tour may still be made shorter.
+    settling_m
+        Minimum settling distance, for a vehicle that leaves a leg so far before its end.
 
     Raises BadInputError if there are contacts to visit but the start pose is not finite.
     """
@@ -99,7 +102,8 @@ def plan_reinspection(
     frame = LocalFrame(latitude_deg=start_latitude_deg, longitude_deg=start_longitude_deg)
     start = PlanePose(0.0, 0.0, start_heading_rad)
     radius_m = config.turn_radius_m / math.cos(ARC_STEP_RAD / 2.0)
-    legs = [leg for contact in chosen for leg in _ways_past(contact, frame, config)]
+    half_m = config.leg_length_m / 2.0 + max(SETTLING_RADII * config.turn_radius_m, settling_m)
+    legs = [leg for contact in chosen for leg in _ways_past(contact, frame, config.stand_off_m, half_m)]
     unwanted_m = np.array([0.0 if may_run(*leg.ends_deg) else _DETOUR_M for leg in legs])
     tour = short_tour(_connections(start, legs, radius_m) + _shares(unwanted_m), more_time)
     return _waypoints(
@@ -107,11 +111,11 @@ def plan_reinspection(
     )
 
 
-def _ways_past(contact: Contact, plan_frame: LocalFrame, config: PlanConfig) -> list[_Leg]:
+def _ways_past(contact: Contact, plan_frame: LocalFrame, stand_off_m: float, half_m: float) -> list[_Leg]:
     """Lay four legs per contact: on either side, in either direction. Number i sailed backwards is number i ^ 1.
 
-    Legs are laid out in the contact's own frame: true north at the contact is what its aspects refer to, which matters
-    near the poles.
+    Legs reach half_m to either side of their middle. They are laid out in the contact's own frame: true north at the
+    contact is what its aspects refer to, which matters near the poles.
     """
     frame = LocalFrame(latitude_deg=contact.latitude_deg, longitude_deg=contact.longitude_deg)
     course_deg = contact.next_look_deg[0] - 90.0
@@ -120,12 +124,11 @@ def _ways_past(contact: Contact, plan_frame: LocalFrame, config: PlanConfig) -> 
         np.array([math.sin(course), math.cos(course), 0.0]),
         np.array([math.cos(course), -math.sin(course), 0.0]),
     )
-    half_m = config.leg_length_m / 2.0 + SETTLING_RADII * config.turn_radius_m
     legs = []
     for side in (1.0, -1.0):  # the track runs on this side (1: right) of the contact, as seen along the course
         for way in (1.0, -1.0):
             track_deg = (course_deg + (0.0 if way > 0.0 else 180.0)) % 360.0
-            middle = side * config.stand_off_m * right
+            middle = side * stand_off_m * right
             latitude, longitude, height = frame.to_geodetic(
                 [middle - way * half_m * along, middle + way * half_m * along]
             )

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.plan.look_again import WAIT_FOR_VIEW_S, LookAgain, LooksSoFar, PlanRequest
 from auv_mcm.plan.propose import propose
 from auv_mcm.records import Contact, Waypoint, contact_id
@@ -178,6 +179,21 @@ def test_a_leg_that_ends_early_counts_if_the_contact_was_passed(upto: float, cou
     mission.fly(entry, leaving, upto)
     mission.be_at(0.0, 0.0, commanding=False)  # the vehicle has taken control back
     assert bool(legs(mission.plan(40.0))) is not counts
+
+
+def test_legs_are_long_enough_for_a_vehicle_that_leaves_them_far_before_their_end() -> None:
+    radius_m = 25.0  # of arrival, where it turns to the next way-point: half of a leg of the usual length
+    config = msgspec.structs.replace(CONFIG, vehicle=msgspec.structs.replace(CONFIG.vehicle, arrival_radius_m=radius_m))
+    mission = Mission([contact(1, 40.0, 40.0)])
+    mission.look_again = LookAgain(config)
+    mission.be_at(0.0, 0.0)
+    request = PlanRequest(*HERE, frozenset())
+    plan = mission.look_again.take(propose([contact(1, 40.0, 40.0)], request, config.plan, config.vehicle), 1000.0)
+    ((entry, leaving),) = legs(plan)
+    frame = LocalFrame(latitude_deg=entry.latitude_deg, longitude_deg=entry.longitude_deg)
+    length_m = float(np.linalg.norm(frame.to_enu(leaving.latitude_deg, leaving.longitude_deg, 0.0)))
+    mission.fly(entry, leaving, upto=1.0 - radius_m / length_m)
+    assert [n_flown for *_, n_flown, _ in mission.look_again.so_far().looks] == [1]
 
 
 @given(st.lists(st.sampled_from(["fly", "wait", "see", "lose", "command"]), max_size=25))
