@@ -28,8 +28,7 @@ from auv_mcm.waterfall.ground import Traces, make_traces
 from auv_mcm.waterfall.law_watch import law_of_pings
 from auv_mcm.waterfall.quality import TraceChecker
 from auv_mcm.waterfall.transfer import to_intensity
-from sim_replay.logs.open_log import find_format
-from sim_replay.logs.xtf import XtfLog
+from sim_replay.logs.open_log import find_format, open_log
 from sim_replay.logs.xtf_header import SIDE_SCAN, channels
 from sim_replay.logs.xtf_packets import HEADER_BLOCK, XtfPacket, header_bytes, read_packets
 from sim_replay.simulator.echo import absorption_db_per_km
@@ -104,7 +103,7 @@ def read_survey(path: Path, config: Config) -> Survey:
             f"{path} is a log of format {found.title}; objects are embedded in XTF logs alone, since every "
             "other byte is kept. Export it as XTF."
         )
-    for event in XtfLog(path, config.sonar):
+    for event in open_log(path, config):
         if isinstance(event, NavSample):
             intake.add_navigation(event)
         elif isinstance(event, Ping):
@@ -284,7 +283,7 @@ def _matches(ping: Ping, data: bytes) -> dict[Side, tuple[int, bool]]:
             if n_samples != trace.samples.shape[0] or start + n_samples * itemsize > len(data):
                 continue
             stored = np.frombuffer(data, trace.samples.dtype, n_samples, start)
-            turned = side == "port" and np.array_equal(stored[::-1], trace.samples, equal_nan=True)
+            turned = np.array_equal(stored[::-1], trace.samples, equal_nan=True)
             if turned or np.array_equal(stored, trace.samples, equal_nan=True):
                 found[side] = (start, turned)
                 break

@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -16,6 +17,7 @@ from auv_mcm.records import Ping
 from auv_mcm.settings.config import Config
 from sim_replay.augment.augment_log import augment
 from sim_replay.augment.targets import parse_target_spec
+from sim_replay.logs.open_log import open_log
 from sim_replay.logs.xtf import XtfLog
 from sim_replay.scoring.inputs import read_truth
 from tests.sim_replay.augment.plain_logs import CONFIG, HEADING_RAD, STEP_M, written
@@ -55,6 +57,17 @@ def test_the_truth_names_every_object_where_it_lies(log: Path, tmp_path: Path) -
     assert facts["seabed"] == "sand"
     assert 0.5 < facts["visible_fraction"] <= 1.0
     assert facts["contrast_db"] > 0.0
+
+
+def test_targets_lie_where_a_replay_of_the_same_configuration_sees_them(log: Path, tmp_path: Path) -> None:
+    swapped = msgspec.structs.replace(CONFIG, sonar=msgspec.structs.replace(CONFIG.sonar, sides="swapped"))
+    done = augment(log, parse_target_spec(SPEC, "spec"), tmp_path / "out", swapped)
+    changed = {"port": 0, "starboard": 0}
+    for before, after in zip(open_log(log, swapped), open_log(done.log, swapped), strict=True):
+        if isinstance(before, Ping) and isinstance(after, Ping) and before.number == 80:
+            for side in changed:
+                changed[side] = int((getattr(before, side).samples != getattr(after, side).samples).sum())
+    assert changed["starboard"] > 10 * changed["port"], "the cylinder's side at ping 80"
 
 
 def test_equal_input_gives_equal_files(log: Path, tmp_path: Path) -> None:
