@@ -254,7 +254,12 @@ class ShownMission:
         return Judged(self._verdicts, self._matched[1])
 
     def judge(self, judgement: Judgement) -> Verdict:
-        """Write a verdict down. Raises UsageError for one about nothing or out of bounds, OSError from the disk."""
+        """Write a verdict down, beside those of other pages.
+
+        Raises UsageError for one about nothing or out of bounds, BadInputError for damaged ones, OSError from the disk.
+        """
+        self._verdicts = read_verdicts(self.folder)
+        self._verdict_version += 1
         try:
             verdict = self._verdict(judgement)
             verdict = msgspec.convert(msgspec.to_builtins(verdict), Verdict)  # its bounds

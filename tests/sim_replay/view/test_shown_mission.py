@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from auv_mcm.errors import BadInputError, UsageError
-from sim_replay.verdicts import VERDICTS_FILE, read_verdicts
+from sim_replay.verdicts import VERDICTS_FILE, newest_verdicts, read_verdicts
 from sim_replay.view.mission import Judgement
 from sim_replay.view.places import WaterfallPoint
 from sim_replay.view.show import named_logs, open_shown
@@ -63,6 +63,15 @@ def test_a_second_verdict_is_appended_and_counts(tmp_path: Path) -> None:
     card = mission.contact("C00001")
     assert card is not None
     assert [verdict["call"] for verdict in card["history"]] == ["mine_like", "not_mine_like"]
+
+
+def test_verdicts_given_on_two_pages_of_one_folder_all_count(tmp_path: Path) -> None:
+    write_results(tmp_path, [feature(1), feature(2, 300.0)])
+    first, second = shown(tmp_path, by="kim"), shown(tmp_path, by="lee")
+    first.judge(Judgement(contact_id="C00001", call="mine_like"))
+    second.judge(Judgement(contact_id="C00002", call="not_mine_like"))
+    assert set(newest_verdicts(read_verdicts(tmp_path))) == {"V0001", "V0002"}
+    assert set(second.contacts()["verdicts"]) == {"C00001", "C00002"}
 
 
 def test_a_withdrawn_verdict_is_gone_from_the_list_and_kept_in_the_file(tmp_path: Path) -> None:
