@@ -30,8 +30,8 @@ class Tally:
         self.heading_rad = NAN
         self._course_rad = NAN
         self._fix: Fix | None = None
-        self._squint_rad = NAN
-        self._is_seen_again = False  # by a further sub-aperture of the same pass
+        self._look: tuple[float, ...] = ()  # squint and sides of the ping before
+        self._is_seen_again = False  # by a further sub-aperture, or the other side's log, of the same pass
 
     @property
     def direction_rad(self) -> float:
@@ -42,19 +42,19 @@ class Tally:
         match event:
             case Ping():
                 self.pings += 1
-                self._add_time(event.time_s, event.squint_rad)
+                self._add_time(event.time_s, (event.squint_rad, event.port is None, event.starboard is None))
             case NavSample():
                 self.navigation_samples += 1
                 self._add_position(event)
             case Notice():
                 self.notices += 1
 
-    def _add_time(self, time_s: float, squint_rad: float) -> None:
+    def _add_time(self, time_s: float, look: tuple[float, ...]) -> None:
         if not math.isfinite(time_s):
             return
-        if squint_rad != self._squint_rad:
+        if look != self._look:
             self._is_seen_again = time_s <= self.last_s  # NaN at first
-            self._squint_rad = squint_rad
+            self._look = look
         if self._is_seen_again:
             self._is_seen_again = time_s <= self.last_s
             return

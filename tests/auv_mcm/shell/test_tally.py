@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 
-from auv_mcm.records import NAN, NavSample, Ping
+from auv_mcm.records import NAN, EchoTrace, NavSample, Ping
 from auv_mcm.shell.tally import Tally
 
 METRE_DEG = 1.0 / 111_194.9  # of latitude, on the way north
@@ -58,3 +59,13 @@ def test_sub_apertures_of_one_pass_count_its_time_and_its_way_once() -> None:
     assert tally.distance_m == pytest.approx(80.0, rel=0.01)
     tally.add(Ping(number=0, time_s=50.0, port=None, starboard=None, squint_rad=0.1))
     assert tally.duration_s == 50.0, "another image, later"
+
+
+def test_sides_of_one_pass_in_logs_of_their_own_count_its_time_and_its_way_once() -> None:
+    tally, trace = Tally(), EchoTrace(samples=np.ones(4), first_range_m=0.1, spacing_m=0.1)
+    for port, starboard in ((trace, None), (None, trace)):
+        for k in range(41):
+            tally.add(fix(float(k), 2.0 * k))
+            tally.add(Ping(number=k, time_s=float(k), port=port, starboard=starboard))
+    assert (tally.pings, tally.duration_s) == (82, 40.0)
+    assert tally.distance_m == pytest.approx(80.0, rel=0.01)
