@@ -6,6 +6,7 @@ import json
 import os
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from hashlib import sha256
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 from urllib.parse import quote
@@ -44,7 +45,8 @@ _LAST_TIME: Final = "~"  # after every time in ISO 8601: for a mission in which 
 class IndexedMission(NamedTuple):
     """Hold the figures of one mission.
 
-    box_deg: west, south, east, north of its coverage, None without any; a side may lie beyond 180 degrees.
+    box_deg: west, south, east, north of its coverage, None without any; a side may lie beyond 180 degrees. repeats: the
+    mission before it whose pings it holds again, as a copy of a log does; empty for its own.
     """
 
     name: str
@@ -52,6 +54,7 @@ class IndexedMission(NamedTuple):
     stop: str
     summary: dict[str, Any]
     box_deg: tuple[float, float, float, float] | None
+    repeats: str = ""
 
 
 def write_index(out: Path, outcomes: Sequence[MissionOutcome], config: ContactsConfig) -> list[SeenObject]:
@@ -62,9 +65,10 @@ def write_index(out: Path, outcomes: Sequence[MissionOutcome], config: ContactsC
     replayed = [(outcome.log.name, outcome.folder) for outcome in outcomes if not outcome.failure]
     timed = [(_indexed(name, folder), folder) for name, folder in replayed]
     timed.sort(key=lambda one: (one[0].start or _LAST_TIME, one[0].name))
-    missions = [mission for mission, _ in timed]
-    seen = [SeenMission(mission.name, _contacts(folder)) for mission, folder in timed]
-    objects = objects_seen(seen, (_coverage(folder) for _, folder in timed), config)
+    missions = _repeats_named(timed)
+    own = [one for one, mission in zip(timed, missions, strict=True) if not mission.repeats]
+    seen = [SeenMission(mission.name, _contacts(folder)) for mission, folder in own]
+    objects = objects_seen(seen, (_coverage(folder) for _, folder in own), config)
     failed = [outcome for outcome in outcomes if outcome.failure]
     write_parts(out / "index.geojson", collection_parts(_features(missions, failed, objects)))
     write_file(out / "index.html", _page(missions, failed, objects).encode("utf-8", "replace"))
@@ -92,6 +96,18 @@ def _indexed(name: str, folder: Path) -> IndexedMission:
     summary = summary_of(folder)
     assert summary is not None, "a replay without failure has a summary"
     return IndexedMission(name, min(times, default=""), max(times, default=""), summary, box_deg)
+
+
+def _repeats_named(timed: Sequence[tuple[IndexedMission, Path]]) -> list[IndexedMission]:
+    """Find missions whose contacts and coverage are those of one before, with its times: copies of a log."""
+    first: dict[tuple[str, ...], str] = {}
+    found = []
+    for mission, folder in timed:
+        files = [read_regular(folder / f"{name}.geojson") for name in ("contacts", "coverage")]
+        original = first.setdefault(tuple(sha256(file).hexdigest() for file in files), mission.name)
+        is_copy = bool(mission.start) and original != mission.name
+        found.append(mission._replace(repeats=original) if is_copy else mission)
+    return found
 
 
 def _patches(folder: Path) -> Iterator[tuple[dict[str, Any], list[Any]]]:
@@ -145,6 +161,7 @@ def _features(
             "start": mission.start or None,
             "stop": mission.stop or None,
             "results": f"{MISSIONS}/{mission.name}",
+            "repeats": mission.repeats or None,
             "failure": None,
         }
         figures = {name: mission.summary.get(name) for name in ("pings", "covered_km2", "contacts", "contacts_called")}

@@ -99,6 +99,15 @@ def test_the_index_says_what_is_new_gone_and_seen_again_and_why_a_log_failed(und
     assert "is not a readable log" in missions["day3/not-a-log.jsf"]
 
 
+def test_a_copy_of_a_log_sees_no_object_again(undisturbed: Path, tmp_path: Path) -> None:
+    outcomes = [MissionOutcome(ArchivedLog(tmp_path, name), undisturbed / MISSIONS / "day2/b <i>.xtf") for name in "ab"]
+    objects = write_index(tmp_path, outcomes, ContactsConfig())
+    assert objects
+    assert {one.change for one in objects} == {"seen once"}
+    assert [one["repeats"] for one in features(tmp_path, "mission")] == [None, "a"]
+    assert "the same pings as a" in (tmp_path / "index.html").read_text("utf-8")
+
+
 def test_the_page_links_to_every_report_and_shows_names_as_they_are(undisturbed: Path) -> None:
     links: list[str] = []
 
