@@ -15,7 +15,7 @@ from auv_mcm.errors import UsageError
 from sim_replay.logs.bottom_lines import BottomLine, find_bottom_line, line_of, write_bottom_line
 from sim_replay.logs.log_reader import Log
 from sim_replay.logs.recorded import RecordedMission
-from sim_replay.view.waterfall_store import WaterfallStore
+from sim_replay.view.waterfall_store import Seen, WaterfallStore
 
 _MAX_SHOWN: Final = 8000  # rows of the line on the page: more than a screen has pixels
 
@@ -38,7 +38,7 @@ def bottom_shown(store: WaterfallStore, recorded: RecordedMission | None) -> dic
     kept = [] if recorded is None else [line.stretches for _, _, line in _lines(recorded) if line is not None]
     stretches = []
     for stretch in (stretch for stretches in kept for stretch in stretches):
-        found = store.rows_at([point.time_s for point in stretch])
+        found = store.rows_at([Seen(point.time_s) for point in stretch])
         if all(map(math.isfinite, found)):
             stretches.append([[row, point.first_return_m] for row, point in zip(found, stretch, strict=True)])
     return {"row": (rows + 0.5).tolist(), "first_return": first_return_m.round(3).tolist(), "stretches": stretches}

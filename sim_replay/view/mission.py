@@ -47,7 +47,7 @@ from sim_replay.view.mission_files import (
     track_of,
 )
 from sim_replay.view.places import Measured, SeabedPlaces, WaterfallPoint, measure_length, measure_shadow, place_points
-from sim_replay.view.waterfall_store import WaterfallStore
+from sim_replay.view.waterfall_store import Seen, WaterfallStore
 
 MAX_TRACK_POINTS: Final = 8000  # of the track on the map: more than a screen has pixels
 MAX_POINTS: Final = 64  # of one request to place points
@@ -198,7 +198,7 @@ class ShownMission:
     def contacts(self) -> dict[str, Any]:
         """List all contacts as columns, every object that people judged, and structures that contacts are part of."""
         found = self._overviews
-        rows = self.store.rows_at([contact.time_s for contact in found])
+        rows = self.store.rows_at([contact.seen for contact in found])
         by_contact = self.judged().by_contact
         shown = {verdict.object for verdict in by_contact.values()}
         return _finite(
@@ -229,10 +229,11 @@ class ShownMission:
         feature = self._contacts.features.get(name)
         if feature is None:
             return None
-        times = [view.get("time") for view in feature["properties"].get("views") or []]
         history = self.judged().by_contact.get(name)
         verdicts = [] if history is None else [v for v in self._verdicts if v.object == history.object]
         place = overview(feature)
+        views = feature["properties"].get("views") or []
+        seen = [place.seen._replace(time_s=time_s(view.get("time")), side=str(view.get("side"))) for view in views]
         depth_m = self._depth_m(place)
         return _finite(
             {
@@ -240,7 +241,7 @@ class ShownMission:
                 "coordinates": (feature.get("geometry") or {}).get("coordinates"),
                 "depth_m": depth_m,
                 "said": msgspec.structs.asdict(place.said),
-                "view_rows": self.store.rows_at([time_s(time) for time in times]),
+                "view_rows": self.store.rows_at(seen),
                 "history": [msgspec.to_builtins(verdict) for verdict in verdicts],
             }
         )
@@ -329,7 +330,9 @@ class ShownMission:
         seen = [(contact.time_s, contact.side, contact.ground_range_m)]
         for view in feature["properties"].get("views") or []:
             seen.append((time_s(view.get("time")), view.get("side"), number(view.get("ground_range_m"))))
-        rows = np.array(self.store.rows_at([when for when, _, _ in seen]))
+        rows = np.array(
+            self.store.rows_at([contact.seen._replace(time_s=when, side=str(side)) for when, side, _ in seen])
+        )
         across_m = np.array([-range_m if side == "port" else range_m for _, side, range_m in seen])
         away_m = np.concatenate(
             [np.hypot((rows - end.row) * self.store.row_spacing_m, across_m - end.across_m) for end in ends]
@@ -438,10 +441,11 @@ class ShownMission:
     def _drawn(self, shown: set[str]) -> tuple[list[Verdict], list[float]]:
         """List objects that no contact of these results stands for, with their rows."""
         alone = [verdict for name, verdict in newest_verdicts(self._verdicts).items() if name not in shown]
-        return alone, self.store.rows_at([time_s(verdict.view_time) for verdict in alone])
+        seen = [Seen(time_s(one.view_time), one.side or "", one.latitude_deg, one.longitude_deg) for one in alone]
+        return alone, self.store.rows_at(seen)
 
     def _depth_m(self, contact: Overview) -> float:
-        row = self.store.rows_at([contact.time_s])[0]
+        row = self.store.rows_at([contact.seen])[0]
         if not (math.isfinite(row) and math.isfinite(contact.ground_range_m)):
             return math.nan
         across_m = -contact.ground_range_m if contact.side == "port" else contact.ground_range_m

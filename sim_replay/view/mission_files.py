@@ -17,6 +17,7 @@ from auv_mcm.errors import AuvMcmError, BadInputError
 from auv_mcm.safe_files import open_regular
 from auv_mcm.settings.config import Config
 from sim_replay.verdicts import Place
+from sim_replay.view.waterfall_store import Seen
 
 SUMMARY: Final = "summary.json"
 CONTACTS: Final = "contacts.geojson"
@@ -40,6 +41,11 @@ class Overview(NamedTuple):
     side: str
     ground_range_m: float
     time_s: float
+
+    @property
+    def seen(self) -> Seen:
+        """Return when, on which side and where it was seen."""
+        return Seen(self.time_s, self.side, self.place.latitude_deg, self.place.longitude_deg)
 
 
 class ContactFile:

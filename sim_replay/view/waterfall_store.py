@@ -11,7 +11,7 @@ import math
 import os
 import tempfile
 import weakref
-from bisect import bisect_left
+from bisect import bisect_left, bisect_right
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -19,7 +19,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.records import SIDES, VALID, PoseTrack, Side, Tile
+from auv_mcm.geometry.geodesy import wrap_longitude_deg
+from auv_mcm.records import NAN, SIDES, VALID, PoseTrack, Side, Tile
 from auv_mcm.snippet import pack_snippet, unpack_snippet
 
 TILE_PX: Final = 256
@@ -37,6 +38,15 @@ _POSE: Final = (
 )
 _FIELDS: Final = (*_POSE, "first_return_m")
 _FIRST_ROWS: Final = 4096  # that room is made for at first
+
+
+class Seen(NamedTuple):
+    """Hold when something was seen, on which side, and where it lies; "" and NaN for what is not known."""
+
+    time_s: float
+    side: str = ""
+    latitude_deg: float = NAN
+    longitude_deg: float = NAN
 
 
 class _Piece(NamedTuple):
@@ -63,7 +73,7 @@ class WaterfallStore:
         """Gives the disk space back, as the end of the store does."""
         self._max_bytes = max_bytes
         self._n_bytes = 0
-        self._pieces: dict[tuple[Side, int], list[_Piece]] = {(side, level): [] for side in SIDES for level in _STORED}
+        self._pieces: dict[tuple[str, int], list[_Piece]] = {(side, level): [] for side in SIDES for level in _STORED}
         self._rows = np.full((_FIRST_ROWS, len(_FIELDS)), np.nan)
         self.row_spacing_m = self.column_spacing_m = 0.0
         self.first_row = self.stop_row = 0
@@ -144,18 +154,38 @@ class WaterfallStore:
         """Give the time of each row from row 0, UTC seconds, NaN where there is none; a view of what is kept."""
         return self._rows[: self.stop_row, 0]
 
-    def rows_at(self, times_s: Sequence[float]) -> list[float]:
-        """Find the row at each time, UTC seconds, from the upper edge of row 0; NaN where there is none (yet)."""
+    def rows_at(self, seen: Sequence[Seen]) -> list[float]:
+        """Find the row at which each was seen, from the upper edge of row 0; NaN where there is none (yet).
+
+        A time may have several rows, as where sides have logs of their own or a clock was set back: of these it is one
+        that shows the side, and the one nearest to the place.
+        """
         times = self.times()
         known = np.flatnonzero(np.isfinite(times))
-        if not len(known):
-            return [math.nan] * len(times_s)
-        wanted = np.array(times_s, dtype=np.float64)
-        ordered = np.maximum.accumulate(times[known])
-        rows = np.interp(wanted, ordered, known + 0.5)
+        if not len(known) or not seen:
+            return [math.nan] * len(seen)
+        wanted_s, latitude_deg, longitude_deg = np.array([(one.time_s, *one[2:]) for one in seen], dtype=np.float64).T
+        shape = len(seen), 1 + np.count_nonzero(np.diff(times[known]) < 0.0)
+        rows, lacking, away_deg, outside_s = np.full((4, *shape), np.nan)
+        for number, run in enumerate(np.split(known, np.flatnonzero(np.diff(times[known]) < 0.0) + 1)):
+            rows[:, number] = np.interp(wanted_s, times[run], run + 0.5)
+            outside_s[:, number] = np.maximum(times[run[0]] - wanted_s, wanted_s - times[run[-1]]).clip(0.0)
+            at = np.nan_to_num(rows[:, number]).astype(np.int64)
+            there = self._rows[at]
+            north_deg, east_deg = latitude_deg - there[:, 1], wrap_longitude_deg(longitude_deg - there[:, 2])
+            away_deg[:, number] = np.hypot(north_deg, east_deg * np.cos(np.radians(latitude_deg)))
+            lacking[:, number] = [not self._shows(one.side, row) for one, row in zip(seen, at.tolist(), strict=True)]
         # a metre at 0.5 m/s is within two seconds: what lies farther off is not in this waterfall
-        outside = ~((wanted >= ordered[0] - 2.0) & (wanted <= ordered[-1] + 2.0))
-        return [float(row) for row in np.where(outside, np.nan, rows)]
+        outside = ~(outside_s <= 2.0)
+        best = np.lexsort((outside_s, away_deg, lacking, outside), axis=-1)[:, :1]
+        found = np.take_along_axis(np.where(outside, np.nan, rows), best, axis=-1)
+        return [float(row) for row in found[:, 0]]
+
+    def _shows(self, side: str, row: int) -> bool:
+        """Find whether a side has pixels at a row."""
+        pieces = self._pieces.get((side, 0), [])
+        at = bisect_right(pieces, row, key=_row_of) - 1
+        return at >= 0 and row < pieces[at].row + pieces[at].n_rows
 
     def _keep_rows(self, tile: Tile, core: slice, first_row: int) -> None:
         stop = first_row + tile.core_stop - tile.core_start

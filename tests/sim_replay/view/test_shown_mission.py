@@ -6,15 +6,19 @@ import json
 import math
 from pathlib import Path
 
+import msgspec
+import numpy as np
 import pytest
 
+from auv_mcm.contacts.export import iso_time
 from auv_mcm.errors import BadInputError, UsageError
+from auv_mcm.records import SIDES
 from sim_replay.verdicts import VERDICTS_FILE, newest_verdicts, read_verdicts
 from sim_replay.view.mission import Judgement
 from sim_replay.view.places import WaterfallPoint
 from sim_replay.view.show import named_logs, open_shown
 from sim_replay.view.waterfall_store import WaterfallStore
-from tests.sim_replay.view.shown_missions import feature, filled_store, position, shown, write_results
+from tests.sim_replay.view.shown_missions import feature, filled_store, poses, position, shown, tile, write_results
 
 
 def test_contacts_are_listed_with_their_place_in_the_waterfall(tmp_path: Path) -> None:
@@ -24,6 +28,25 @@ def test_contacts_are_listed_with_their_place_in_the_waterfall(tmp_path: Path) -
     assert found["row"] == pytest.approx([100.0, 200.0], abs=0.05)
     assert found["across"] == pytest.approx([20.0, -15.0])
     assert found["p"] == [0.1, 0.9]
+
+
+def test_a_contact_lies_where_its_side_was_recorded_though_the_other_has_the_same_times(tmp_path: Path) -> None:
+    store, intensity = WaterfallStore(), np.ones((64, 640), dtype=np.float32)
+    store.add(tile("port", 0, intensity))
+    later = tile("starboard", 64, intensity)
+    store.add(msgspec.structs.replace(later, pose=poses(0, 64)))
+    folder = write_results(tmp_path, [feature(1, 30.0, 20.0), feature(2, 40.0, -20.0)])
+    assert shown(folder, store).contacts()["row"] == pytest.approx([94.0, 40.0], abs=0.1)
+
+
+def test_a_contact_after_a_clock_was_set_back_lies_at_the_nearer_of_two_rows_of_its_time(tmp_path: Path) -> None:
+    store, intensity, first = WaterfallStore(), np.ones((64, 640), dtype=np.float32), poses(0, 64)
+    for row, pose in ((0, first), (64, msgspec.structs.replace(poses(64, 64), time_s=first.time_s))):
+        for side in SIDES:
+            store.add(msgspec.structs.replace(tile(side, row, intensity), pose=pose))
+    late = feature(1, 94.0, 20.0, time=iso_time(first.time_s[29]))
+    late["properties"]["views"][0]["time"] = late["properties"]["time"]
+    assert shown(write_results(tmp_path, [late]), store).contacts()["row"] == pytest.approx([94.0], abs=1.0)
 
 
 def test_contacts_that_crowd_together_are_shown_as_one_structure(tmp_path: Path) -> None:
