@@ -255,6 +255,7 @@ class _Replaying:
             logs=tuple(clean(str(path)) for path in paths),
             start_s=tally.first_s,
             stop_s=tally.last_s,
+            duration_s=tally.duration_s,
             track_latitude_deg=track.latitude_deg,
             track_longitude_deg=track.longitude_deg,
             distance_m=tally.distance_m,

@@ -59,11 +59,11 @@ _MIN_BOX_M: Final = 3.0  # m: of the mark around a contact, so that it stays vis
 class MissionRecord(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     """Hold the facts of the mission as a whole.
 
-    start_s, stop_s: UTC seconds of the first and last ping, NaN if there was none. track_latitude_deg,
-    track_longitude_deg: (n,) float64, a few thousand positions at most, NaN where the track breaks. costs: seconds per
-    stage, in the order to show them. searched: what `search_totals` says, clearance_png: the picture of it; both empty
-    if nothing was. files: names of the files beside the page, to link to. map_picture: the sonar picture under the map.
-    verdicts: of people, in the order of judging.
+    start_s, stop_s: UTC seconds of the first and last ping, NaN if there was none; duration_s: without holes between
+    logs, NaN in results of older builds. track_latitude_deg, track_longitude_deg: (n,) float64, a few thousand
+    positions at most, NaN where the track breaks. costs: seconds per stage, in the order to show them. searched: what
+    `search_totals` says, clearance_png: the picture of it; both empty if nothing was. files: names of the files beside
+    the page, to link to. map_picture: the sonar picture under the map. verdicts: of people, in the order of judging.
     """
 
     name: str
@@ -82,6 +82,7 @@ class MissionRecord(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     files: tuple[str, ...] = ()
     map_picture: MapPicture | None = None
     verdicts: tuple[Verdict, ...] = ()
+    duration_s: float = math.nan
 
 
 class Pictures(Protocol):
@@ -261,19 +262,18 @@ def _judgement(judged: Iterable[Verdict], missed: Sequence[Verdict]) -> str:
 
 def _facts(mission: MissionRecord, contacts: Sequence[Contact]) -> list[tuple[str, str, str]]:
     """List headline figures: value, name, detail."""
-    span_s = mission.stop_s - mission.start_s
     likely = sum(is_mine_like(contact) for contact in contacts)
     facts = [
         (str(likely), "mine-like contact" if likely == 1 else "mine-like contacts", f"of {len(contacts)} in all"),
         (words.area(1e6 * mission.covered_km2), "covered", "turns, poor pings and large shadows left out"),
         (words.distance(mission.distance_m), "sailed", "along the track"),
-        (words.duration(span_s), "of recording", _period(mission)),
+        (words.duration(mission.duration_s), "of recording", _period(mission)),
     ]
     if any(contact.called is not None for contact in contacts):
         called = sum(bool(contact.called) for contact in contacts)
         facts.insert(1, (str(called), "called", "within the false alarms per km² that you accept"))
-    if mission.wall_s > 0.0 and math.isfinite(span_s):
-        speed = span_s / mission.wall_s
+    if mission.wall_s > 0.0 and math.isfinite(mission.duration_s):
+        speed = mission.duration_s / mission.wall_s
         facts.append(
             (
                 f"{speed:.0f}×" if speed >= 10.0 else f"{speed:.1f}×",

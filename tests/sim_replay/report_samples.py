@@ -136,6 +136,7 @@ def mission(**changes: Any) -> MissionRecord:
         logs=("line7.xtf",),
         start_s=START_S,
         stop_s=START_S + 3723.0,
+        duration_s=3723.0,
         track_latitude_deg=np.array([55.0, 55.001, NAN, 55.001, 55.0]),
         track_longitude_deg=np.array([12.0, 12.0, NAN, 12.001, 12.001]),
         distance_m=3200.0,

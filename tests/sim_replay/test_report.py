@@ -235,12 +235,20 @@ def test_without_verdicts_nothing_speaks_of_them() -> None:
     assert "Missed" not in Page(full_page()).text
 
 
+def test_the_page_states_what_was_recorded_and_not_the_time_between_logs() -> None:
+    days = mission(stop_s=mission().start_s + 86_400.0, duration_s=600.0)
+    page = Page(render_report(Shown(days, [], [], [], [], {}, PictureCollector())))
+    assert "10 min 00 s" in page.text
+    assert "60×" in page.text
+
+
 def test_a_mission_without_anything_gives_a_proper_page() -> None:
     nothing = mission(
         name="",
         logs=(),
         start_s=NAN,
         stop_s=NAN,
+        duration_s=0.0,
         track_latitude_deg=np.empty(0),
         track_longitude_deg=np.empty(0),
         distance_m=0.0,
