@@ -23,7 +23,7 @@ from auv_mcm.contacts.export import snippet_path
 from auv_mcm.records import Contact, CoveragePatch, Notice, Waypoint
 from auv_mcm.shell.whole_files import write_file
 from sim_replay.report import report_words as words
-from sim_replay.report.cards import Card, band, cards, place_m, strips_with
+from sim_replay.report.cards import band, cards, place_m, strips_with
 from sim_replay.report.chart import WIDTH, draw_chart
 from sim_replay.report.map_picture import MapPicture
 from sim_replay.report.pictures import PictureStrip
@@ -161,10 +161,10 @@ def _context(shown: Shown) -> dict[str, Any]:
     listed = ranked[: MAX_CARDS + MAX_ROWS]
     listed += [one for one in ranked[len(listed) :] if one.id in judged][:MAX_ROWS]
     described = cards(listed[:MAX_CARDS], strips, waypoints)
-    first = {card.contact.id for card in described if card.mine_like or _call(judged, card) == "mine_like"}
+    first = {card.contact.id for card in described if _is_likely(card.contact, judged)}
     rows = [_contact_row(contact, strips, number < MAX_CARDS) for number, contact in enumerate(listed)]
-    likely_rows = [row for row in rows if is_mine_like(row.contact) or _call(judged, row) == "mine_like"]
-    likely_rows.sort(key=lambda row: _SUMMARY_ORDER[_call(judged, row)])
+    likely_rows = [row for row in rows if _is_likely(row.contact, judged)]
+    likely_rows.sort(key=lambda row: _SUMMARY_ORDER[_call(row.contact, judged)])
     return {
         **_frame(),
         **_of_mission(mission, list(notices), counters),
@@ -242,9 +242,14 @@ def _member(contact: Contact) -> Member:
     )
 
 
-def _call(judged: Mapping[str, Verdict], shown: ContactRow | Card) -> str:
-    verdict = judged.get(shown.contact.id)
+def _call(contact: Contact, judged: Mapping[str, Verdict]) -> str:
+    verdict = judged.get(contact.id)
     return "" if verdict is None else verdict.call
+
+
+def _is_likely(contact: Contact, judged: Mapping[str, Verdict]) -> bool:
+    """Decide whether a contact comes first: called, mine-like, or judged so."""
+    return bool(contact.called) or is_mine_like(contact) or _call(contact, judged) == "mine_like"
 
 
 def _judgement(judged: Iterable[Verdict], missed: Sequence[Verdict]) -> str:

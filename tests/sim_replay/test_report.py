@@ -16,7 +16,7 @@ import pytest
 
 from auv_mcm.records import NAN, Notice
 from sim_replay.report import PictureCollector, render_report, write_report
-from sim_replay.report.page import MAX_CARDS, MAX_ROWS, Shown
+from sim_replay.report.page import MAX_CARDS, MAX_ROWS, ONE_PAGE, Shown
 from sim_replay.report.pictures import MAX_JPEG_BYTES
 from sim_replay.report.report_words import area, degrees_minutes, distance, duration, nice_step
 from sim_replay.verdicts import Verdict
@@ -61,7 +61,7 @@ def test_the_summary_is_one_page_without_script_that_lists_the_likeliest(tmp_pat
     page = Page(text)
     assert "script" not in page.tags
     assert "<b>" in page.text
-    assert "8 more mine-like contacts in the report" in page.text
+    assert "8 more called or mine-like contacts in the report" in page.text
     assert re.findall(r"<tr><td>(C\d+)</td>", text) == [one.id for one in contacts[:12]]
     assert "judged by" in page.text
 
@@ -210,6 +210,16 @@ def test_verdicts_stay_text(said: str, tmp_path: Path) -> None:
     assert all(source.startswith("data:image/") for source in report.sources)
     assert report.text.count(said) >= 7
     assert said in summary.text
+
+
+def test_what_is_called_comes_first_however_unlikely(tmp_path: Path) -> None:
+    contacts = [contact("C0001", 0.9), contact("C0002", 0.05, called=True), contact("C0003", 0.05, called=False)]
+    path = tmp_path / "report.html"
+    write_report(path, Shown(mission(), contacts, [], [], [], {}, PictureCollector()))
+    page, summary = path.read_text("utf-8"), path.with_name(ONE_PAGE).read_text("utf-8")
+    assert "1 contact that is probably not a mine" in page
+    assert "<td>C0002</td>" in summary
+    assert "<td>C0003</td>" not in summary
 
 
 def test_a_crowd_is_one_structure_and_what_is_called_keeps_its_line(tmp_path: Path) -> None:
