@@ -43,8 +43,10 @@ def to_mend(summary: Mapping[str, Any]) -> list[str]:
     """List what a person should do first, most consequential first."""
     codes = [notice["code"] for notice in summary.get("notices", ())]
     found = [words for code, words in _MEND.items() if code in codes][:_MOST]
+    if n_lost := summary.get("counters", {}).get("detect.without_position"):
+        found.insert(0, f"record positions, as {n_lost} detections without one are left out")
     point = summary.get("operating_point") or {}
-    if point.get("area_too_small"):
+    if point.get("area_too_small") and summary.get("searched"):
         found.append(
             f"the area is too small for {point['asked_per_km2']:g} false alarms per km² to mean one; go by the order "
             "of p_mine"

@@ -41,5 +41,12 @@ def test_it_names_what_a_person_should_mend_first() -> None:
     assert "too small for 100 false alarms per km²" in line
 
 
+def test_a_log_without_positions_says_what_that_cost() -> None:
+    point = summary()["operating_point"] | {"area_too_small": True}
+    lost = {"operating_point": point, "searched": {}, "counters": {"detect.without_position": 94}}
+    line = closing_line(summary(contacts_called=0, **lost))
+    assert line.endswith("To mend: record positions, as 94 detections without one are left out.")
+
+
 def test_a_mission_without_floor_or_odds_has_a_line_too() -> None:
     assert closing_line({}) == "0 contacts called mines; no sea floor searched."
