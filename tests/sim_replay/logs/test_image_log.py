@@ -181,6 +181,14 @@ def test_positions_that_are_held_between_fixes_give_the_course_of_the_fixes(tmp_
     assert len({fix.longitude_deg for fix in fixes}) == N_LINES - 3, "no steps, but for the end"
 
 
+def test_a_track_that_a_spreadsheet_saved_with_a_byte_order_mark_is_read(tmp_path: Path) -> None:
+    np.save(tmp_path / "image.npy", plane())
+    path = beside(tmp_path / "image.npy")
+    track = tmp_path / "track.csv"
+    track.write_bytes(b"\xef\xbb\xbf" + track.read_bytes())
+    assert len(pings(path)) == N_LINES
+
+
 def test_grazing_angle_stands_for_altitude(tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", plane())
     path = beside(tmp_path / "a.npy", altitude_m=None, near_grazing_deg=30.0)
