@@ -18,7 +18,7 @@ from drivers.recording.session_layout import FILE_PATTERN
 from sim_replay.logs.bottom_lines import FoundLine, corrected, find_bottom_line, unused_notice
 from sim_replay.logs.log_reader import Log
 from sim_replay.logs.open_log import CHUNK_BYTES, is_session, open_log
-from sim_replay.logs.same_log import OpenedLog, first_ping, without_repeats
+from sim_replay.logs.same_log import OpenedLog, PingsOnce, first_ping, without_repeats
 from sim_replay.logs.session_parts import recordings_of
 
 MAX_WAIT_S: Final = 5.0  # holes in a log longer than this are not waited out
@@ -134,14 +134,18 @@ class RecordedMission:
     def events(self) -> Iterator[SourceEvent]:
         """Read every log once, in order of time."""
         yield from self._notices
-        self._done_bytes = 0
+        self._done_bytes, once = 0, PingsOnce()
         for path, log, line in zip(self._paths, self._logs, self._lines, strict=True):
             self._reading = log
-            for event in log if line is None or line.line is None else corrected(log, line):
+            given = log if line is None or line.line is None else corrected(log, line)
+            for event in once.of(given) if len(self._logs) > 1 else given:
                 if isinstance(event, Ping) and math.isfinite(event.time_s):
                     first_s, last_s = self._spans.get(path, (event.time_s, event.time_s))
                     self._spans[path] = min(first_s, event.time_s), max(last_s, event.time_s)
                 yield event
+            if once.n_repeated:
+                text = f"{once.n_repeated} pings of {path} lie in a log before it, too: they count once"
+                yield Notice(code="log_repeated", text=text, place=str(path))
             self._done_bytes += sum(log.sizes_bytes.values())
             self._reading = None
 

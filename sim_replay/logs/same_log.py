@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import math
+import zlib
+from array import array
+from collections.abc import Iterable, Iterator
 from itertools import combinations
 from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
 
-from auv_mcm.records import EchoTrace, Notice, Ping
+from auv_mcm.records import EchoTrace, Notice, Ping, SourceEvent
 from auv_mcm.safe_files import open_regular
 from sim_replay.logs.log_reader import Log
 
@@ -60,6 +64,45 @@ def without_repeats(opened: list[OpenedLog], subsystem: int | None) -> tuple[lis
             )
             left_out[other.place] = Notice(code="log_of_another_frequency", text=text, place=other.paths)
     return [item for item in opened if item.place not in left_out], list(left_out.values())
+
+
+class PingsOnce:
+    """Leave out pings that a log before holds too, each with the navigation ahead of it, as where files overlap."""
+
+    def __init__(self) -> None:
+        self._marks = array("q")  # of the pings so far, 8 bytes each
+        self._newest_s = -math.inf
+        self.n_repeated = 0
+        """Of the last log."""
+
+    def of(self, events: Iterable[SourceEvent]) -> Iterator[SourceEvent]:
+        """Yield the events of the next log, without what was read before."""
+        known: set[int] | None = None  # not needed for a log that begins later than all before ended
+        own, held, newest_s, self.n_repeated = array("q"), list[SourceEvent](), self._newest_s, 0
+        for event in events:
+            if not isinstance(event, Ping):
+                held.append(event)
+                continue
+            if known is None:
+                known = set(self._marks) if event.time_s <= self._newest_s else set()
+            newest_s = max(newest_s, event.time_s)
+            own.append(_mark(event))
+            if own[-1] in known:
+                self.n_repeated += 1
+                yield from (one for one in held if isinstance(one, Notice))
+            else:
+                yield from held
+                yield event
+            held.clear()
+        yield from held
+        self._marks += own
+        self._newest_s = newest_s
+
+
+def _mark(ping: Ping) -> int:
+    """Give a number that distinguishes pings by time, squint and samples."""
+    sides = (0 if trace is None else zlib.crc32(trace.samples.tobytes()) for trace in (ping.port, ping.starboard))
+    return hash((ping.time_s, ping.squint_rad, *sides))
 
 
 def first_ping(log: Log) -> Ping | None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from msgspec import structs
 
-from auv_mcm.records import NavSample, Ping
+from auv_mcm.records import NavSample, Notice, Ping
 from auv_mcm.settings.config import Config, SonarConfig
 from sim_replay.logs.recorded import RecordedMission
 from tests.sim_replay.logs.xtf_logs import mission, written
@@ -29,6 +29,16 @@ def test_a_copy_and_a_cut_copy_are_left_out(tmp_path: Path) -> None:
     names, codes = kept(tmp_path / "0 cut.xtf", whole, tmp_path / "copy of a.xtf")
     assert names == ["a.xtf"]
     assert codes == ["log_repeated"] * 2
+
+
+def test_pings_that_two_files_share_count_once(tmp_path: Path) -> None:
+    events = list(mission(40))
+    first, second = written(tmp_path / "a.xtf", events[:50]), written(tmp_path / "b.xtf", events[30:])
+    read = list(RecordedMission([first, second], Config()).events())
+    times_s = [event.time_s for event in read if isinstance(event, Ping)]
+    assert times_s == sorted(set(times_s))
+    assert len(times_s) == 40
+    assert [event.code for event in read if isinstance(event, Notice)].count("log_repeated") == 1
 
 
 def test_the_same_pings_in_another_file_are_left_out(tmp_path: Path) -> None:
