@@ -109,12 +109,14 @@ class RecordedMission:
         return list(zip(self._paths, self._logs, strict=True))
 
     def log_at(self, time_s: float) -> tuple[Path, Log] | None:
-        """Find the log, as it was named, that has pings before and after a time; None for none read so far."""
-        for path, log in self.named_logs:
-            first_s, last_s = self._spans.get(path, (math.inf, -math.inf))
-            if first_s <= time_s <= last_s:
-                return path, log
-        return None
+        """Find the log, as it was named, that has pings before and after a time.
+
+        None for none read so far, and for several, as where each side has a log of its own.
+        """
+        nothing = math.inf, -math.inf
+        spans = [(self._spans.get(path, nothing), path, log) for path, log in self.named_logs]
+        found = [(path, log) for (first_s, last_s), path, log in spans if first_s <= time_s <= last_s]
+        return found[0] if len(found) == 1 else None
 
     @property
     def sizes_bytes(self) -> dict[Path, int]:

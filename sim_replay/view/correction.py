@@ -75,7 +75,7 @@ def keep_bottom(store: WaterfallStore, recorded: RecordedMission, by: str, stret
             points[float(times_s[int(row)])] = return_m
         named = {found[0]: found[1] for time_s in points if (found := recorded.log_at(time_s)) is not None}
         if len(named) != 1:
-            raise UsageError("a stretch lies in several logs, or in none: end it within one")
+            raise UsageError("a stretch lies in several logs, or in none: end it within one, or show one alone")
         ((path, log),) = named.items()
         by_log.setdefault(path, (log, []))[1].append(list(points.items()))
     try:

@@ -10,8 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec.structs import replace as replaced
 
 from auv_mcm.errors import BadInputError, UsageError
+from auv_mcm.records import Ping
 from auv_mcm.settings.config import Config
 from sim_replay.logs.xtf_writer import write_xtf
 from sim_replay.replay import replay
@@ -132,3 +134,19 @@ def test_a_corrected_bottom_line_is_kept_beside_its_log_and_shown_again(
     assert not list(tmp_path.glob("*bottom-line.json"))
     for one in (mission, again):
         one.feed.close()
+
+
+def test_a_bottom_line_is_not_kept_for_one_of_two_logs_of_the_same_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    logs = [tmp_path / "port.xtf", tmp_path / "starboard.xtf"]
+    for path, other in zip(logs, ("starboard", "port"), strict=True):
+        events = Mission(scene(1_700_000_000.0, 0.0)).events()
+        write_xtf(path, (replaced(one, **{other: None}) if isinstance(one, Ping) else one for one in events))
+    mission = open_new(logs, None, "kim")
+    mission.feed.join()
+    stop = mission.state()["stop_row"]
+    with pytest.raises(UsageError, match="lies in several logs"):
+        mission.correct_bottom([[(stop - 60.0, 3.0), (stop - 20.0, 3.5)]])
+    mission.feed.close()
