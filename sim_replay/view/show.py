@@ -129,7 +129,7 @@ def open_shown(folder: Path, logs: list[Path], config: Config | None, by: str) -
             "or give --live to wait for a session."
         )
     summary = read_summary(folder)
-    is_live = summary is None
+    is_live = summary is None and (bool(recordings) or (folder / JOURNAL).exists())  # else its replay did not end
     opens: Opens
     if logs:
         used = config or (summary_config(summary, folder) if summary else Config())
@@ -139,16 +139,16 @@ def open_shown(folder: Path, logs: list[Path], config: Config | None, by: str) -
     elif is_live:
         opens = partial(follow_session, folder, config)
     else:
-        assert summary is not None
-        opens = lambda stop: open_logs(named_logs(summary, folder), config or summary_config(summary, folder))  # noqa: E731
+        known = summary or {}
+        opens = lambda stop: open_logs(named_logs(known, folder), config or summary_config(known, folder))  # noqa: E731
 
     def again() -> ReplayAgain:
         assert summary is not None
         used = config or summary_config(summary, folder)
         return ReplayAgain(_feed(opens), BackgroundReplay(logs or named_logs(summary, folder), folder, used))
 
-    is_session = is_live or bool(recordings)
-    mission = ShownMission(folder, _feed(opens), by=by, is_live=is_live, again=None if is_session else again)
+    is_whole = summary is not None and not recordings
+    mission = ShownMission(folder, _feed(opens), by=by, is_live=is_live, again=again if is_whole else None)
     mission.refresh()
     mission.feed.start()
     return mission

@@ -185,6 +185,16 @@ def test_a_log_that_has_moved_is_named(tmp_path: Path) -> None:
         named_logs({"logs": [{"path": "/gone/other.xtf"}]}, tmp_path)
 
 
+def test_results_of_a_replay_that_did_not_end_are_not_waited_for_as_a_session(tmp_path: Path) -> None:
+    mission = open_shown(write_results(tmp_path, [feature(1)]), [], None, "kim")
+    mission.feed.join()
+    state = mission.state()
+    assert (state["live"], state["done"], state["replay_again"]) == (False, True, False)
+    assert "the results name no log" in state["problem"]
+    assert mission.contacts()["id"] == ["C00001"]
+    mission.feed.close()
+
+
 def test_a_folder_that_shows_nothing_is_refused(tmp_path: Path) -> None:
     with pytest.raises(BadInputError, match="neither results nor a session"):
         open_shown(tmp_path, [], None, "kim")
