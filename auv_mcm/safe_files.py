@@ -97,9 +97,11 @@ def replacing(path: Path, *, directory: int | None = None, durable: bool = True)
             if durable:
                 os.fsync(descriptor)
         os.replace(temporary, path, src_dir_fd=directory, dst_dir_fd=directory)
-    except BaseException:
+    except BaseException as error:
         with contextlib.suppress(OSError):
             os.unlink(temporary, dir_fd=directory)
+        if isinstance(error, OSError) and error.strerror and error.filename is None:  # as of a full disk
+            raise OSError(error.errno, error.strerror, str(path)) from error
         raise
     if durable and directory is None:
         sync_directory(path.parent)

@@ -114,6 +114,9 @@ def replay_mission(task: MissionTask) -> MissionOutcome:
             replay([task.log.path], task.folder, config)
     except AuvMcmError as error:
         return MissionOutcome(task.log, task.folder, str(error), error.exit_code)
+    except OSError as error:
+        why = f"{error.filename or 'input or output'}: {error.strerror or error}"
+        return MissionOutcome(task.log, task.folder, why, HardwareError.exit_code)
     except Exception as error:  # a defect in one log must not cost the others
         return MissionOutcome(task.log, task.folder, f"defect: {type(error).__name__}: {error}", _DEFECT)
     return MissionOutcome(task.log, task.folder)

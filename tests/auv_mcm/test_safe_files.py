@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from pathlib import Path
 
@@ -98,6 +99,13 @@ def test_a_new_file_has_a_name_of_its_own_until_it_is_whole_and_failing_leaves_t
             fail_on_the_way()
     assert len(names) == 3
     assert {entry.name: entry.read_bytes() for entry in tmp_path.iterdir()} == {"a": b"old"}
+
+
+def test_a_full_disk_names_the_file_that_it_does_not_take(tmp_path: Path) -> None:
+    path = tmp_path / "contacts.csv"
+    with pytest.raises(OSError, match="No space left") as full, replacing(path):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    assert (full.value.errno, full.value.filename) == (errno.ENOSPC, str(path))
 
 
 def test_files_are_as_readable_as_the_umask_says(tmp_path: Path) -> None:

@@ -210,6 +210,16 @@ def test_a_defect_in_one_log_is_reported_as_such(
     assert outcome.exit_code == 1
 
 
+def test_a_full_disk_is_no_defect(archive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
+        raise OSError(28, "No space left on device", "contacts.csv")
+
+    monkeypatch.setattr(batch_missions, "replay", fail)
+    outcome = batch_missions.replay_mission(tasks_of(archive, tmp_path)[0])
+    assert outcome.failure == "contacts.csv: No space left on device"
+    assert outcome.exit_code == HardwareError.exit_code
+
+
 def test_two_runs_into_one_folder_are_kept_apart(tmp_path: Path) -> None:
     with locked(tmp_path), pytest.raises(UsageError, match="another run writes"), locked(tmp_path):
         pass
