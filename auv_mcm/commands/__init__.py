@@ -37,9 +37,18 @@ class HelpText(argparse.HelpFormatter):
         def filled(paragraph: str) -> str:
             if any(line.startswith("  ") for line in paragraph.splitlines()):
                 return "\n".join(indent + line for line in paragraph.splitlines())
+            if _LIST.search(paragraph):
+                return "\n".join(_hung(line, width, indent) for line in paragraph.splitlines())
             return textwrap.fill(" ".join(paragraph.split()), width, initial_indent=indent, subsequent_indent=indent)
 
         return "\n\n".join(map(filled, text.split("\n\n")))
+
+
+def _hung(line: str, width: int, indent: str) -> str:
+    """Wrap an item of a list, so that its words stand below one another."""
+    name = _LIST.match(line)
+    behind = indent + " " * (name.end() if name else 0)
+    return textwrap.fill(line, width, initial_indent=indent, subsequent_indent=behind)
 
 
 class Parser(argparse.ArgumentParser):

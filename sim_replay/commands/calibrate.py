@@ -56,7 +56,7 @@ def add(commands: Commands) -> None:
     # Scripts give --speed without a subcommand.
     add_budget_options(parser, required=False)
     parser.set_defaults(command=partial(run_budget_or_ask, parser))
-    kinds = parser.add_subparsers(title="what to calibrate", metavar="background|budget|gate|odds|performance|seabed")
+    kinds = parser.add_subparsers(title="what to calibrate", metavar="WHAT")
     add_budget(kinds)
     for fit in FITS:
         parser = command(kinds, fit.name, fit.does, fit.more, fit.examples)

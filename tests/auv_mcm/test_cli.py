@@ -440,6 +440,17 @@ def test_help_lists_every_command_once_by_purpose_and_fits_the_terminal(
             assert len([line for line in text.splitlines() if line.startswith(f"  {name} ")]) == 1
 
 
+def test_a_list_in_a_help_has_a_line_for_each_item(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    with pytest.raises(SystemExit):
+        main(["bench", "--help"])
+    lines = capsys.readouterr().out.splitlines()
+    at = next(number for number, line in enumerate(lines) if line.startswith("all:          every stage's time"))
+    assert lines[at + 1] == " " * 14 + "instead; and under stress"
+
+
 @pytest.mark.parametrize("shell", ["bash", "zsh", "tcsh"])
 def test_completion_knows_commands_and_options(shell: str, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("shtab", reason="completion needs the package shtab of the extra bench")
