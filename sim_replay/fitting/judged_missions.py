@@ -113,9 +113,9 @@ def _read(folder: Path) -> JudgedMission:
 
 
 def _searched(summary: dict[str, object], folder: Path) -> tuple[float, float]:
-    """Take the area and the false alarms accepted from a summary."""
+    """Take the area and the false alarms accepted from a summary: those that contacts were called by."""
     point = summary.get("operating_point")
-    values = (summary.get("covered_km2"), point.get("asked_per_km2") if isinstance(point, dict) else None)
+    values = [point.get(name) if isinstance(point, dict) else None for name in ("searched_km2", "asked_per_km2")]
     if not all(isinstance(value, int | float) and 0.0 < value < math.inf for value in values):
         raise BadInputError(
             f"{folder / SUMMARY} names no area that was searched, or no operating point. Replay the mission again."

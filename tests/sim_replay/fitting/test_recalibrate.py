@@ -228,8 +228,8 @@ def judged_results(folder: Path, n_contacts: int = 30) -> Path:
         )
     summary = {
         "version": __version__,
-        "covered_km2": 0.2,
-        "operating_point": {"asked_per_km2": 30.0},
+        "covered_km2": 0.35,
+        "operating_point": {"asked_per_km2": 30.0, "searched_km2": 0.2},
         "config": msgspec.to_builtins(Config()),
     }
     (folder / "summary.json").write_text(json.dumps(summary))
@@ -244,6 +244,7 @@ def test_verdicts_find_their_contacts_and_too_few_are_refused_by_number(
     assert (len(mission.calls), len(other.calls), mission.detector) == (30, 40, "cascade")
     assert not (mission.calls == NOT_JUDGED).any()
     assert mission.count(MINE) == np.count_nonzero(mission.log_odds > math.log(9.0))
+    assert mission.area_km2 == 0.2, "overlap once, as where contacts are called"
     words = ["calibrate", "odds", "--verdicts", *map(str, folders), "--out", str(tmp_path / "odds.json")]
     assert main(words) == 3
     assert "2 missions with contacts judged, 3 are needed" in capsys.readouterr().err
@@ -255,7 +256,7 @@ def test_verdicts_find_their_contacts_and_too_few_are_refused_by_number(
     [
         ({"version": "0.0"}, "is of version 0.0"),
         ({"config": {"confirm": {"odds": "other.json"}}}, "confirm.odds other.json"),
-        ({"covered_km2": None}, "names no area"),
+        ({"operating_point": {"asked_per_km2": 30.0}}, "names no area"),
         ({"operating_point": 3}, "no operating point"),
     ],
 )
