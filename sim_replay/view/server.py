@@ -87,6 +87,7 @@ class MissionServer:
         self._tiles: OrderedDict[tuple[int, int, int, int], bytes] = OrderedDict()
         self._refreshing = asyncio.Lock()
         self._drawing = asyncio.Lock()
+        self._judging = asyncio.Lock()
         self._page = {path.name: path for path in _PAGE.iterdir() if path.suffix in _KINDS}
         app = web.Application(client_max_size=BOTTOM_BYTES, middlewares=[self._guard])
         app.router.add_get("/", self._index)
@@ -284,7 +285,8 @@ class MissionServer:
 
     async def _judge(self, request: web.Request) -> web.StreamResponse:
         judgement = await _body(request, Judgement)
-        verdict = await asyncio.to_thread(self._mission.judge, judgement)
+        async with self._judging:  # each names its object behind those before
+            verdict = await asyncio.to_thread(self._mission.judge, judgement)
         return _json(msgspec.to_builtins(verdict))
 
     async def _bottom(self, request: web.Request) -> web.StreamResponse:

@@ -12,7 +12,7 @@ import aiohttp
 import pytest
 
 from auv_mcm.errors import HardwareError
-from sim_replay.verdicts import VERDICTS_FILE, read_verdicts
+from sim_replay.verdicts import VERDICTS_FILE, newest_verdicts, read_verdicts
 from sim_replay.view.chart import Chart
 from sim_replay.view.server import MAX_REQUEST_BYTES, MissionServer
 from tests.sim_replay.view.shown_missions import feature, filled_store, shown, write_results
@@ -92,6 +92,20 @@ def test_state_contacts_tiles_and_places_come_as_asked(tmp_path: Path) -> None:
                 await answer.json()
 
     serve(tmp_path, ask)
+
+
+def test_verdicts_of_two_people_at_one_moment_both_count(tmp_path: Path) -> None:
+    features = [feature(number, 40.0 * number) for number in range(1, 9)]
+
+    async def ask(server: MissionServer, session: aiohttp.ClientSession) -> None:
+        async def judge(number: int) -> None:
+            async with session.post("/api/verdicts", json={"contact_id": f"C{number:05d}"}) as answer:
+                assert answer.status == 200
+
+        await asyncio.gather(*map(judge, range(1, 9)))
+
+    serve(tmp_path, ask, features)
+    assert len(newest_verdicts(read_verdicts(tmp_path))) == 8
 
 
 def test_a_chart_is_placed_and_served_and_none_is_where_there_is_none(tmp_path: Path) -> None:
