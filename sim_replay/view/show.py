@@ -77,6 +77,8 @@ def show(
     chart = None if chart_path is None else read_chart(chart_path)
     if not paths and not live:
         raise UsageError("name logs, the folder of results or of a session, or give --live")
+    if live and (len(paths) > 1 or any(path.is_file() for path in paths)):
+        raise UsageError("--live follows one session: name its folder, or none for the last; logs are shown without it")
     folder = paths[0] if paths else Path((config or Config()).service.output_directory) / "latest"
     if live:
         wait_for_session(folder)

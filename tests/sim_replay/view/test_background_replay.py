@@ -105,6 +105,12 @@ def test_a_folder_stands_for_the_logs_below_it(log: Path, tmp_path: Path) -> Non
         logs_named([tmp_path / "nothing"])
 
 
+def test_a_log_is_not_waited_for_as_a_session(log: Path, tmp_path: Path) -> None:
+    for paths in ([log], [tmp_path / "one", tmp_path / "two"]):
+        with pytest.raises(UsageError, match="--live follows one session"):
+            show(paths, live=True, logs=[])
+
+
 def test_a_corrected_bottom_line_is_kept_beside_its_log_and_shown_again(
     log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
