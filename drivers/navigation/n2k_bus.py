@@ -53,6 +53,7 @@ class N2kBus:
         self._packets = FastPackets()
         self._talkers: dict[int, _Talker] = {}  # by address
         self._labels: dict[int, str] = {}  # by NAME
+        self._variation_rad = NAN  # newest of any unit: it is the place's, and often the receiver sends it
 
     @property
     def counters(self) -> Counter[str]:
@@ -134,6 +135,8 @@ class N2kBus:
                 return fix_fields
             case MagneticVariation():
                 talker.variation_rad = record.variation_rad
+                if not math.isnan(record.variation_rad):
+                    self._variation_rad = record.variation_rad
                 return None
             case Speed():
                 known = not (math.isnan(record.ground_mps) and math.isnan(record.water_mps))
@@ -178,7 +181,8 @@ class N2kBus:
         if record.reference != _MAGNETIC:
             self._own["n2k.heading_reference_unknown"] += 1
             return None
-        variation_rad = talker.variation_rad if math.isnan(record.variation_rad) else record.variation_rad
+        known = (record.variation_rad, talker.variation_rad, self._variation_rad)
+        variation_rad = next((angle for angle in known if not math.isnan(angle)), NAN)
         if math.isnan(variation_rad):
             self._own["n2k.heading_magnetic"] += 1
             return None

@@ -163,7 +163,12 @@ def test_a_magnetic_heading_needs_a_variation() -> None:
     assert sent(bus, n2k.MagneticVariation(NAN, 8.0, NAN, -0.05)) == []
     [fix] = sent(bus, magnetic)
     assert fix.heading_rad == pytest.approx(0.95)
-    assert sent(bus, magnetic, source=36) == [], "another unit's variation is its own"
+    [fix] = sent(bus, magnetic, source=36)
+    assert fix.heading_rad == pytest.approx(0.95), "variation is of the place, whichever unit sends it"
+    sent(bus, n2k.MagneticVariation(NAN, 8.0, NAN, 0.02), source=36)
+    assert [sent(bus, magnetic, source=unit)[0].heading_rad for unit in (35, 36)] == pytest.approx([0.95, 1.02])
+    sent(bus, n2k.MagneticVariation(NAN, 8.0, NAN, NAN))
+    assert sent(bus, magnetic)[0].heading_rad == pytest.approx(1.02)
 
 
 def test_a_unit_that_sends_a_heading_is_not_heard_again_through_its_yaw() -> None:
