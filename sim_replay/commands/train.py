@@ -25,8 +25,8 @@ def add(commands: Commands) -> None:
         "Renders labelled tiles as a YAML file says, or takes those of a folder, and writes a model file for "
         "'detect.model'. Without a SPEC the set that ships is rendered. The same files and seeds give the same bytes "
         "on one platform. --all fits all that follows the detector as well, on missions with the SPEC's scenes and "
-        "sonars, and compares it with what ships on the split 'test'; --network fits what separates mines from stones "
-        "alone, in a fraction of the time. A run that was interrupted goes on.",
+        "sonars, and compares it with what ships on the split 'test'; --network leaves the detector as it ships and "
+        "fits what separates mines from stones, in a fraction of the time. A run that was interrupted goes on.",
         [
             "auv-mcm train --out model.json",
             "auv-mcm train theatre.yaml --out model.json --tiles tiles",
@@ -53,7 +53,7 @@ def add(commands: Commands) -> None:
     parser.add_argument(
         "--network",
         action="store_true",
-        help="train the network that verifies detections, and the odds that weigh it, alone; the rest as it ships",
+        help="train the network that verifies detections, and fit what goes by it; the detector as it ships",
     )
     add_config_option(parser)
     parser.add_argument(

@@ -38,9 +38,9 @@ from sim_replay.text_tables import columns, json_lines
 CONFIG: Final = "vehicle.yaml"
 """Name of the configuration that names all other files."""
 _SPEC: Final = "theatre.yaml"
-_NETWORK_ALONE: Final = b"\n# the network and its odds alone\n"  # kept with the spec
-_ODDS: Final = "odds.json"
-_OF_NETWORK: Final = (FILE, _ODDS)
+_NETWORK_ALONE: Final = b"\n# detector and performance as they ship\n"  # kept with the spec
+_DETECTOR: Final = "model.json"
+_PERFORMANCE: Final = "performance.json"
 LIMITS_PER_KM2: Final = (10.0, 30.0, 100.0)
 """False alarms per km² that own and shipped are compared at."""
 _N_MISSIONS: Final = {"odds": 18, "gate": 9, "background": 27}  # or a few more, as of what ships
@@ -88,7 +88,7 @@ def fit_theatre(
     watched
         Gives, by a step's name, what takes the missions flown and how many it has.
     network_alone
-        Fit the network and the odds that weigh it; detector, gate, background and performance stay as they are.
+        Fit the network, and odds, gate and background that go with it; detector and performance stay as they are.
 
     Raises
     ------
@@ -99,7 +99,7 @@ def fit_theatre(
     _begin(folder, spec, network_alone=network_alone)
     shipped, files = theatre, dict[str, str]()
     for step in _steps(train, farm):
-        if network_alone and step.file not in _OF_NETWORK:
+        if network_alone and step.file in (_DETECTOR, _PERFORMANCE):
             continue
         place = folder.absolute() / step.file
         if not place.exists():
@@ -155,13 +155,13 @@ def _steps(train: Callable[[Path], None], farm: Farm) -> Iterator[Step]:
         words = performance.performance_fit_words(seeds, flights, looks)
         write_file(out, json_lines(fit_performance(looks, words), "deterministic"))
 
-    yield Step("model", "model.json", lambda theatre, out, show: train(out))
+    yield Step("model", _DETECTOR, lambda theatre, out, show: train(out))
     if can_train():
         yield Step(None, FILE, network)
-    yield Step("odds", _ODDS, odds)
+    yield Step("odds", "odds.json", odds)
     yield Step("gate", "gate.json", gate)
     yield Step("background", "background.json", background)
-    yield Step("performance", "performance.json", tables)
+    yield Step("performance", _PERFORMANCE, tables)
 
 
 def _n_seeds(step: str, theatre: Theatre) -> int:

@@ -181,10 +181,15 @@ def test_each_step_goes_by_the_files_before_it_and_an_interrupted_run_goes_on(
     with pytest.raises(UsageError, match="fitted otherwise"):
         fit_theatre.fit_theatre(alone, vehicle, b"a", folder, train, farm, watched, network_alone=True)
     fit_theatre.fit_theatre(alone, vehicle, b"a", tmp_path / "network", train, farm, watched, network_alone=True)
-    assert seen == {step: ["shipped", "shipped", "shipped", "shipped"] for step in ("network", "odds")}
+    assert seen == {
+        "network": ["shipped", "shipped", "shipped", "shipped"],
+        "odds": ["shipped", "shipped", "shipped", "shipped"],
+        "gate": ["shipped", "odds.json", "shipped", "shipped"],
+        "background": ["shipped", "odds.json", "gate.json", "shipped"],
+    }
     own = parse_config((tmp_path / "network" / "vehicle.yaml").read_text(), "vehicle.yaml")
-    assert Path(own.confirm.odds).parent == tmp_path / "network"
-    assert (own.detect.model, own.contacts.background) == ("shipped", "shipped")
+    assert Path(own.contacts.background).parent == tmp_path / "network"
+    assert (own.detect.model, own.detect.performance) == ("shipped", "shipped")
 
 
 def test_a_network_alone_needs_pytorch(theatre: Theatre, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
