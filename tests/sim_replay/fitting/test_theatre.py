@@ -125,9 +125,9 @@ def test_odds_are_fitted_on_the_own_scenes_and_lines_and_the_network_weighed_bes
     assert odds["verifier"]["digest"] == shipped_odds("cascade").verifier.digest  # type: ignore[union-attr]
 
 
-def test_each_step_goes_by_the_files_before_it_and_an_interrupted_run_goes_on(
-    theatre: Theatre, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.fixture
+def seen(monkeypatch: pytest.MonkeyPatch) -> dict[str, list[str]]:
+    """Give the files of detector, odds, gate and background that each step went by; nothing is fitted or flown."""
     seen: dict[str, list[str]] = {}
 
     def note(step: str, one: Theatre, found: Any = None) -> Any:
@@ -149,12 +149,18 @@ def test_each_step_goes_by_the_files_before_it_and_an_interrupted_run_goes_on(
     monkeypatch.setattr(fit_theatre, "fit_from_missions", odds)
     monkeypatch.setattr(fit_theatre, "calibrate_gate", lambda *a: note("gate", a[-1], shipped_gate()))
     monkeypatch.setattr(fit_theatre, "calibrate_background", lambda *a: note("background", a[-1], shipped_background()))
-    folder = tmp_path / "own"
-    folder.mkdir()
-    (folder / "performance.json").write_bytes(msgspec.json.encode(shipped_performance()))
     monkeypatch.setattr(
         fit_theatre, "run_tasks", lambda fly, tasks, *_: [found_by(fly.keywords["config"])] * len(tasks)
     )
+    return seen
+
+
+def test_each_step_goes_by_the_files_before_it_and_an_interrupted_run_goes_on(
+    theatre: Theatre, tmp_path: Path, seen: dict[str, list[str]]
+) -> None:
+    folder = tmp_path / "own"
+    folder.mkdir()
+    (folder / "performance.json").write_bytes(msgspec.json.encode(shipped_performance()))
     vehicle = parse_config(CONFIG, "own.yaml")
     farm, train = Farm(1), lambda out: out.write_bytes(encode_model(shipped_model()))
     said = fit_theatre.fit_theatre(theatre, vehicle, b"a", folder, train, farm, watched)
@@ -178,9 +184,24 @@ def test_each_step_goes_by_the_files_before_it_and_an_interrupted_run_goes_on(
     assert seen == {}
     with pytest.raises(UsageError, match="for another spec"):
         fit_theatre.fit_theatre(alone, vehicle, b"b", folder, train, farm, watched)
-    with pytest.raises(UsageError, match="fitted otherwise"):
-        fit_theatre.fit_theatre(alone, vehicle, b"a", folder, train, farm, watched, network_alone=True)
-    fit_theatre.fit_theatre(alone, vehicle, b"a", tmp_path / "network", train, farm, watched, network_alone=True)
+
+
+def test_a_network_alone_leaves_detector_and_performance_as_they_ship(
+    theatre: Theatre, tmp_path: Path, seen: dict[str, list[str]]
+) -> None:
+    def fit(folder: Path, *, alone: bool) -> None:
+        fit_theatre.fit_theatre(
+            theatre._replace(test_seeds=()),
+            parse_config(CONFIG, "own.yaml"),
+            b"a",
+            folder,
+            lambda out: pytest.fail("the detector was trained"),
+            Farm(1),
+            watched,
+            network_alone=alone,
+        )
+
+    fit(tmp_path / "network", alone=True)
     assert seen == {
         "network": ["shipped", "shipped", "shipped", "shipped"],
         "odds": ["shipped", "shipped", "shipped", "shipped"],
@@ -190,6 +211,8 @@ def test_each_step_goes_by_the_files_before_it_and_an_interrupted_run_goes_on(
     own = parse_config((tmp_path / "network" / "vehicle.yaml").read_text(), "vehicle.yaml")
     assert Path(own.contacts.background).parent == tmp_path / "network"
     assert (own.detect.model, own.detect.performance) == ("shipped", "shipped")
+    with pytest.raises(UsageError, match="fitted otherwise"):
+        fit(tmp_path / "network", alone=False)
 
 
 def test_a_network_alone_needs_pytorch(theatre: Theatre, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
