@@ -249,10 +249,12 @@ def folder(prepared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, with
         "sim_replay.fitting.looks.run_tasks",
         "sim_replay.fitting.recalibrate.refit",
         "sim_replay.fitting.verifier.build.fly_all",
+        "sim_replay.fitting.verifier.own.fly_all",
         "sim_replay.benches.experiment.Experiment.run",
         *(f"{bench.__name__}.run" for bench in benches if hasattr(bench, "run")),
     ):
         monkeypatch.setattr(place, reached)
+    monkeypatch.setattr("sim_replay.fitting.fit_theatre.can_train", lambda: True)
     monkeypatch.setattr(
         "sim_replay.fitting.measure_prices.measure_prices", lambda *_, **__: PriceList(BudgetConfig(), {})
     )

@@ -285,7 +285,8 @@ def _merged(latitude_deg: float, ratio: float, watch: Watch, quick: bool) -> Fou
 
 
 def _view(latitude_deg: float, longitude_deg: float, covariance: Values) -> Any:
-    return SimpleNamespace(latitude_deg=latitude_deg, longitude_deg=longitude_deg, covariance_m2=covariance)
+    place = {"latitude_deg": latitude_deg, "longitude_deg": longitude_deg}
+    return SimpleNamespace(**place, covariance_m2=covariance, squint_rad=0.0)
 
 
 def _assignment(scale: float, watch: Watch, quick: bool) -> Found:
