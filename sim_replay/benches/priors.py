@@ -24,7 +24,7 @@ from sim_replay.benches.experiment import counted
 from sim_replay.fitting.cascade.farm import Farm
 from sim_replay.fitting.looks import LookTask
 from sim_replay.fitting.verifier.mill import OTHER, fly_all
-from sim_replay.fitting.verifier.own import TIMES
+from sim_replay.fitting.verifier.own import TIMES, can_train
 from sim_replay.fitting.verifier.train import train, written_as_onnx
 from sim_replay.fitting.verifier.weigh import Array, Looks, auc_of, chips_of, log_odds_of, looks_of, pd_at
 from sim_replay.missions import SCENES
@@ -59,6 +59,8 @@ def run(arguments: argparse.Namespace) -> int:
     names = arguments.scenes.split(",")
     if unknown := sorted(set(names) - set(SCENES)):
         raise UsageError(f"--scenes: there is no scene {', '.join(unknown)}. Known: {', '.join(SCENES)}")
+    if not can_train():
+        raise UsageError("bench priors needs PyTorch: python -m pip install 'auv-mcm[verifier]'")
     seeds = range(FIRST_SEED, FIRST_SEED + arguments.judged + arguments.missions)
     tasks = [LookTask(name, seed, TIMES) for seed in seeds for name in names]
     show = counted(len(tasks))
@@ -71,7 +73,7 @@ def run(arguments: argparse.Namespace) -> int:
     shipped = network_of(odds.verifier.digest)
     groups = [task.source for task in tasks[:n_judged]]
     found: dict[str, list[tuple[Looks, Array]]] = {"what ships": [], "network of these scenes alone": []}
-    for place, group in zip(places, groups, strict=False):
+    for place, group in zip(places[:n_judged], groups, strict=True):
         one = looks_of(place, group, shipped, odds)
         found["what ships"].append((one, log_odds_of(one, odds.verifier)))
         one = looks_of(place, group, own, odds)

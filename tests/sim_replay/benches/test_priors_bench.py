@@ -41,3 +41,11 @@ def test_missions_count_alike_in_each_scene_and_in_all() -> None:
 def test_a_scene_that_is_not_there_is_named(tmp_path: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bench", "priors", "--scenes", "flat,moon", "--looks", str(tmp_path)]) == UsageError.exit_code
     assert "moon" in capsys.readouterr().err
+
+
+def test_pytorch_is_asked_for_before_anything_is_flown(
+    tmp_path: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sim_replay.benches.priors.can_train", lambda: False)
+    assert main(["bench", "priors", "--looks", str(tmp_path)]) == UsageError.exit_code
+    assert "needs PyTorch" in capsys.readouterr().err
