@@ -21,6 +21,7 @@ N_EPOCHS: Final = 12
 _BATCH: Final = 512  # chips per step
 _N_PARTS: Final = 2  # of a step, computed side by side: as many as there are cores
 _RATE: Final = 4e-3  # highest learning rate, of a single cycle (L. N. Smith and N. Topin, SPIE 11006, 2019)
+_GOING_ON: Final = 0.1  # of it for a network that is trained already
 _DECAY: Final = 1e-2  # of weights (I. Loshchilov and F. Hutter, ICLR 2019)
 _DROPPED: Final = 0.3  # share of the last layers' inputs left out in training
 _KEPT: Final = 0.998  # of the averaged weights per step: a mean over some 500 steps
@@ -55,12 +56,15 @@ def train(
     chips: ChipTable,
     n_epochs: int = N_EPOCHS,
     seed: int = _SEED,
+    start: Any = None,
     show: Callable[[int, float, Any], None] = lambda epoch, loss, network: None,
 ) -> Any:
     """Train a network to separate CLASSES; returns it with averaged weights, a torch.nn.Module.
 
     Parameters
     ----------
+    start
+        Network to go on from, as `started_from` makes it, at a tenth of the learning rate; None trains from nothing.
     show
         Takes each epoch's number and mean log-loss, and the averaged network.
 
@@ -73,14 +77,15 @@ def train(
     torch.set_num_threads(1)  # of a part: the same sums with any number of cores
     torch.manual_seed(seed)
     random, *by_part = (np.random.Generator(np.random.PCG64([seed, k])) for k in range(1 + _N_PARTS))
-    network = network_of().to(memory_format=torch.channels_last)  # a quarter faster
+    network = (network_of() if start is None else start).to(memory_format=torch.channels_last)  # a quarter faster
     averaged = copy.deepcopy(network).eval()
     copies = [network, *(_sharing_weights(network) for _ in range(_N_PARTS - 1))]
     for number, layer in enumerate(layer for one in copies for layer in one.modules() if hasattr(layer, "random")):
         layer.random = torch.Generator().manual_seed(seed + number)
     steps = -(-len(chips.label) // _BATCH)
-    optimiser = torch.optim.AdamW(network.parameters(), lr=_RATE, weight_decay=_DECAY)
-    cycle = torch.optim.lr_scheduler.OneCycleLR(optimiser, max_lr=_RATE, total_steps=n_epochs * steps, pct_start=0.2)
+    rate = _RATE if start is None else _GOING_ON * _RATE
+    optimiser = torch.optim.AdamW(network.parameters(), lr=rate, weight_decay=_DECAY)
+    cycle = torch.optim.lr_scheduler.OneCycleLR(optimiser, max_lr=rate, total_steps=n_epochs * steps, pct_start=0.2)
     with ThreadPoolExecutor(_N_PARTS, initializer=torch.set_flush_denormal, initargs=(True,)) as pool:  # a third faster
         for epoch in range(n_epochs):
             total = 0.0
@@ -150,6 +155,32 @@ def network_of() -> Any:
             return self.joined(torch.cat([self.metres(metres), self.heights(heights), place], dim=1))
 
     return Verifier()
+
+
+def started_from(onnx: bytes) -> Any:
+    """Read the network of an ONNX file of `written_as_onnx`, a torch.nn.Module to train on.
+
+    Its normalisations are part of the convolutions' weights there, and stay so.
+    """
+    import onnx as format_of_it
+
+    torch = _torch()
+    nn, network = torch.nn, network_of()
+    for tower in (network.metres, network.heights):
+        for index, layer in enumerate(tower):
+            if isinstance(layer, nn.BatchNorm2d):
+                tower[index] = nn.Identity()
+            elif isinstance(layer, nn.Conv2d):
+                size = layer.kernel_size, layer.stride, layer.padding
+                tower[index] = nn.Conv2d(layer.in_channels, layer.out_channels, *size)
+    graph = format_of_it.load_model_from_string(onnx).graph
+    values = {one.name: format_of_it.numpy_helper.to_array(one) for one in graph.initializer}
+    layers = [layer for layer in network.modules() if isinstance(layer, nn.Conv2d | nn.Linear)]
+    nodes = [node for node in graph.node if node.op_type in ("Conv", "Gemm")]
+    for layer, node in zip(layers, nodes, strict=True):
+        for own, name in zip((layer.weight, layer.bias), node.input[1:], strict=True):
+            own.data = torch.from_numpy(values[name].copy()).reshape(own.shape)
+    return network
 
 
 def written_as_onnx(network: Any) -> bytes:

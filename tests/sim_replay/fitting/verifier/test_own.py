@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 from auv_mcm.classify.chips import N_COLUMNS, N_HEIGHTS, N_PLACE, N_ROWS
+from auv_mcm.classify.odds import shipped_odds
 from auv_mcm.classify.verifier import CLASSES
 from sim_replay.fitting.cascade.farm import Farm
 from sim_replay.fitting.looks import LookTask
@@ -37,22 +39,24 @@ def test_a_network_is_trained_on_own_missions_where_they_show_enough(
         assert folder == tmp_path / "looks" / "network"
         return []
 
-    def train(chips: ChipTable, *_: object) -> str:
+    def train(chips: ChipTable, *_: object, start: str) -> str:
         given.append(chips)
-        return "a network"
+        return f"{start}, trained"
 
     chips = chips_with(n_each)
     monkeypatch.setattr(own, "fly_all", fly_all)
     monkeypatch.setattr(own, "chips_of", lambda places: chips)
     monkeypatch.setattr(own, "train", train)
+    monkeypatch.setattr(own, "started_from", lambda onnx: hashlib.sha256(onnx).hexdigest())
     monkeypatch.setattr(own, "written_as_onnx", lambda network: f"{network}, written".encode())
     out = tmp_path / "verifier.onnx"
     own.own_network(THEATRE, out, Farm(1), lambda done, of: None)
-    assert len(flown) == 65, "32 of either scene, and the line to train on"
+    assert len(flown) == 25, "12 of either scene, and the line to train on"
     assert {(task.source, task.times) for task in flown} == {("flat", 5), ("ripple", 5), ("line", 1)}
     assert all(task.theatre == THEATRE for task in flown)
     assert out.exists() == is_written
     if is_written:
-        assert (given, out.read_bytes()) == ([chips], b"a network, written")
+        digest = shipped_odds("cascade").verifier.digest  # type: ignore[union-attr]
+        assert (given, out.read_text()) == ([chips], f"{digest}, trained, written")
     else:
         assert "500 mines, 100 other objects and 100 places of sea floor are too few" in capsys.readouterr().err
