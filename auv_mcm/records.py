@@ -147,7 +147,6 @@ class PoseTrack(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     altitude_m: NDArray[np.float64]
     stale: NDArray[np.bool_]
     position_sigma_m: NDArray[np.float64] = msgspec.field(default_factory=lambda: np.empty(0))
-
     heading_sigma_rad: NDArray[np.float64] = msgspec.field(default_factory=lambda: np.empty(0))
 
     def __post_init__(self) -> None:

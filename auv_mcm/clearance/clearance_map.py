@@ -216,9 +216,9 @@ class ClearanceMap:
         return total
 
     def _that_fit(self, east: NDArray[np.int64], north: NDArray[np.int64]) -> NDArray[np.intp]:
-        """Choose the cells to lay out, rising indices: all, or, if their box is too large, those nearest to the area to
-        be cleared, without one to the densest part.
+        """Choose the cells to lay out, rising indices.
 
+        All, or, if their box is too large, those nearest to the area to be cleared, without one to the densest part.
         A position that was wrong by kilometres, the way to the area, or a second site, must not cost the memory of all
         that lies between.
         """
@@ -234,11 +234,10 @@ class ClearanceMap:
     def _area_box(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Find the first and the last cell, east and north, of the box about the area to be cleared."""
         latitude_deg, longitude_deg, cell_m = _plane(self._looks[0].cells)
-        plane, corners_deg = (
-            LocalFrame(latitude_deg=latitude_deg, longitude_deg=longitude_deg),
-            np.array(self._area_deg),
-        )
-        corner = np.floor(plane.to_enu(corners_deg[:, 0], corners_deg[:, 1], 0.0)[:, :2] / cell_m).astype(np.int64)
+        plane = LocalFrame(latitude_deg=latitude_deg, longitude_deg=longitude_deg)
+        latitudes_deg, longitudes_deg = np.array(self._area_deg).T
+        corner_m = plane.to_enu(latitudes_deg, longitudes_deg, 0.0)[:, :2]
+        corner = np.floor(corner_m / cell_m).astype(np.int64)
         return corner.min(axis=0), corner.max(axis=0)
 
     def _laid_out(

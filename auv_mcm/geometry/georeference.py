@@ -93,7 +93,8 @@ def position_covariance(
     """Compute the east/north covariance of each echo's position, (n, 2, 2), m^2.
 
     First-order propagation of independent errors of altitude (1-sigma `altitude_sigma_m`, (n,)), heading, pitch and
-    slant range (range error = range times relative sound speed error), added to the fix's own. Each derivative is the
+    slant range (range error = range times relative sound speed error), added to the fix's own. Heading errs as its
+    sensor does, and by what a course in its place adds. Each derivative is the
     secant over plus and minus one sigma: that stays finite towards nadir, where the tangent of sqrt(r^2 - r0^2) does
     not.
     """

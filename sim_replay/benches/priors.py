@@ -24,8 +24,8 @@ from sim_replay.benches.experiment import counted
 from sim_replay.fitting.cascade.farm import Farm
 from sim_replay.fitting.looks import LookTask
 from sim_replay.fitting.verifier.mill import OTHER, fly_all
-from sim_replay.fitting.verifier.own import TIMES, can_train
-from sim_replay.fitting.verifier.train import train, written_as_onnx
+from sim_replay.fitting.verifier.own import TIMES, can_train, shipped_network
+from sim_replay.fitting.verifier.train import started_from, train, written_as_onnx
 from sim_replay.fitting.verifier.weigh import Array, Looks, auc_of, chips_of, log_odds_of, looks_of, pd_at
 from sim_replay.missions import SCENES
 from sim_replay.text_tables import columns
@@ -51,6 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--missions", type=count, default=26, help="to train on, of each scene (default 26)")
     parser.add_argument("--judged", type=count, default=12, help="left out, of each scene (default 12)")
     parser.add_argument("--passes", type=count, default=20, help="over the chips (default 20)")
+    parser.add_argument("--further", action="store_true", help="train the network that ships further, as 'train' does")
     parser.add_argument("--workers", type=count, default=2, help="missions at once (default 2)")
 
 
@@ -67,7 +68,8 @@ def run(arguments: argparse.Namespace) -> int:
     places = fly_all(tasks, arguments.looks, Farm(arguments.workers), lambda done, of: show(done))
     n_judged = arguments.judged * len(names)
     chips = chips_of(places[n_judged:])
-    own = parse_network(written_as_onnx(train(chips, arguments.passes)), "the network")
+    start = started_from(shipped_network()) if arguments.further else None
+    own = parse_network(written_as_onnx(train(chips, arguments.passes, start=start)), "the network")
     odds = shipped_odds("cascade")
     assert odds.verifier is not None
     shipped = network_of(odds.verifier.digest)

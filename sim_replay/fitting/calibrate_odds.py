@@ -151,7 +151,7 @@ def beside_network(
     seen = [looks_of(place, "scenes", network, odds) for place in fly_all(usual, folder, farm, show)]
     found = weighed(seen, network.digest)
     if own:
-        found = msgspec.structs.replace(found, file=FILE, made_by=f"auv-mcm {__version__}: train --all")
+        found = msgspec.structs.replace(found, file=FILE, made_by=f"auv-mcm {__version__}: train")
     return msgspec.structs.replace(odds, verifier=found)
 
 

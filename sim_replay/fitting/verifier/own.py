@@ -53,5 +53,9 @@ def own_network(theatre: Theatre, out: Path, farm: Farm, show: Callable[[int, in
         text = f"{seen} are too few to train a network, {_MIN_LOOKS} of each are needed: the one that ships is weighed"
         print(text, file=sys.stderr)
         return
-    shipped = resources.files("auv_mcm.classify").joinpath(FILE).read_bytes()
-    write_file(out, written_as_onnx(train(chips, N_PASSES, start=started_from(shipped))))
+    write_file(out, written_as_onnx(train(chips, N_PASSES, start=started_from(shipped_network()))))
+
+
+def shipped_network() -> bytes:
+    """Read the ONNX file of the network that ships."""
+    return resources.files("auv_mcm.classify").joinpath(FILE).read_bytes()
