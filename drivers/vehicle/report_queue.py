@@ -59,6 +59,8 @@ class DueReport(NamedTuple):
 class ReportQueue:
     """Decide which reports are due. Holds at most 10,000 contacts, each once.
 
+    Early contacts that were taken back make room for others.
+
     counters: vehicle.reports_told (revisions sent), .reports_repeated, .reports_acknowledged, .reports_rejected,
     .reports_not_kept (more than 10,000 contacts), .reports_without_place.
     """
@@ -116,7 +118,7 @@ class ReportQueue:
         if queued is None:
             if not is_wanted:
                 return
-            if len(self._contacts) >= MAX_CONTACTS:
+            if len(self._contacts) >= MAX_CONTACTS and not self._let_go_early():
                 self.counters["vehicle.reports_not_kept"] += 1
                 return
             queued = self._contacts[report.number] = _QueuedContact(report, self._first_revision)
@@ -168,6 +170,16 @@ class ReportQueue:
             self._contacts[number].ticket = None
             self._repeats.setdefault(number)
         self._unacknowledged.clear()
+
+    def _let_go_early(self) -> bool:
+        """Let go of the first early contact whose last revision, which takes it back, is with the vehicle."""
+        for number, queued in self._contacts.items():
+            if number <= EARLY_NUMBERS or queued.latest.n_views or queued.sent is None or queued.ticket is not None:
+                continue
+            if number not in self._pending and number not in self._repeats:
+                del self._contacts[number]
+                return True
+        return False
 
     def _repeat_unanswered(self, now_s: float) -> None:
         while self._unacknowledged:

@@ -163,6 +163,34 @@ def test_unacknowledged_reports_and_queued_contacts_are_bounded() -> None:
     assert queue.counters["vehicle.reports_not_kept"] == 5
 
 
+@pytest.mark.parametrize("acknowledges", [True, False])
+def test_early_contacts_that_were_taken_back_cost_no_later_contact_its_place(acknowledges: bool) -> None:
+    queue = empty_queue(acknowledges=acknowledges)
+
+    def sends() -> None:
+        while due := queue.take_due(0.0):
+            for report in due:
+                queue.acknowledge(report.ticket)
+
+    views = (drawn_looks.detection(),)
+    numbers = range(1, MAX_CONTACTS + 1)
+    early = [EarlyContact(contact=contact(n, 0.6, id=f"E{n:05d}", views=views), state="found") for n in numbers]
+    for each in early:
+        queue.add(each.reported)
+    sends()
+    queue.add(contact(1))  # none is taken back yet
+    assert queue.counters["vehicle.reports_not_kept"] == 1
+    for each in early[:3]:
+        queue.add(EarlyContact(contact=each.contact, state="withdrawn").reported)
+    queue.add(contact(2))  # the vehicle does not know yet that they are
+    assert queue.counters["vehicle.reports_not_kept"] == 2
+    sends()
+    for number in range(3, 7):
+        queue.add(contact(number))
+    assert revisions(queue.take_due(1.0)) == [(3, 1), (4, 1), (5, 1)]
+    assert queue.counters["vehicle.reports_not_kept"] == 3
+
+
 def test_a_contact_without_a_position_is_not_sent() -> None:
     queue = empty_queue()
     queue.add(contact(1, latitude_deg=NAN))
