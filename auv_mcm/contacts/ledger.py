@@ -28,6 +28,7 @@ from auv_mcm.settings.config import ContactsConfig
 
 # s within which one pass may show an object twice, in tiles that overlap; chosen, not measured
 _SAME_LOOK_S: Final = 30.0
+_SAME_LOOK_M: Final = 300.0  # m of track, 10 m/s for that time: a clock that was set may give it to a later pass
 _SAME_LOOK_RAD: Final = math.radians(45.0)
 _SEARCH_M: Final = 1e-3  # beyond the gate, so that rounding leaves nothing out
 
@@ -224,7 +225,8 @@ def _passages(detections: list[Detection]) -> list[list[Detection]]:
 
 
 def _same_look(a: Detection, b: Detection) -> bool:
-    return a.squint_rad == b.squint_rad and _same_passage(a, b)
+    apart_m = abs(a.row - b.row) * a.row_spacing_m
+    return a.squint_rad == b.squint_rad and apart_m < _SAME_LOOK_M and _same_passage(a, b)
 
 
 def _beside(a: Detection, b: Detection) -> bool:

@@ -150,6 +150,15 @@ def test_the_same_leg_again_is_another_look() -> None:
     assert [len(c.views) for c in book.contacts] == [2]
 
 
+def test_a_later_look_is_another_one_though_the_clock_was_set_back_to_the_first() -> None:
+    book = ledger()
+    book.add([view(0.0, 0.0, 1000.0, score=1.0), view(0.0, 4.0, 1003.0, score=2.0)])
+    again = [view(0.2, north_m, 1600.0 + north_m, score=score) for north_m, score in ((0.0, 1.0), (4.0, 2.0))]
+    book.add([msgspec.structs.replace(each, time_s=each.time_s - 595.0) for each in again])
+    assert objects_in(book.contacts) == [{1.0}, {2.0}]
+    assert [len(contact.views) for contact in book.contacts] == [2, 2]
+
+
 @pytest.mark.parametrize(
     ("nearer_p", "farther_p", "joined"), [(0.0002, 0.6, "farther"), (0.6, 0.0002, "nearer"), (0.5, 0.5, "nearer")]
 )
