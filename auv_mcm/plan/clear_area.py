@@ -174,7 +174,10 @@ class ClearArea:
 
     def _learn_of(self, area: Area, request: PlanRequest, limits: Limits) -> None:
         """Record legs flown since the last request, and judge earlier ones that are shown by now."""
-        self._pending += [_Flown(ends_deg, request.time_s, self._known) for ends_deg in request.flown]
+        known = {leg.ends_deg for leg in self._pending}  # a request may come again after a restart
+        self._pending += [
+            _Flown(ends_deg, request.time_s, self._known) for ends_deg in request.flown if ends_deg not in known
+        ]
         if self._previous is not None:
             gone = [in_plane(ends_deg, area.frame) for ends_deg in request.flown]
             left = tuple(

@@ -133,7 +133,8 @@ class LookAgain:
         self.area: AreaState | None = None
         self._config = config
         self._clears = bool(config.plan.area_deg)
-        self._flown: list[Run] = []  # survey legs not reported yet
+        self._flown: list[Run] = []  # survey legs that no plan has taken account of
+        self._n_requested = 0  # of them, in the request that waits for its plan
         self._sailed_m = 0.0
         self._sailed_from: LocalFrame | None = None
         self._looks: dict[str, _Looks] = {}  # by contact that requested another view, a few of all
@@ -232,8 +233,8 @@ class LookAgain:
         ):
             return None
         self._changed, self._waiting, self._requested_s, self._left_out = False, True, now_s, left_out
-        flown, self._flown = tuple(self._flown), []
-        return PlanRequest(*pose, left_out, self._sailed_m, flown, time_s)
+        self._n_requested = len(self._flown)
+        return PlanRequest(*pose, left_out, self._sailed_m, tuple(self._flown), time_s)
 
     def insist(self, now_s: float) -> tuple[Waypoint, ...] | None:
         """Propose without planning: the same plan while a leg outlasts it, () when all track is sailed."""
@@ -254,6 +255,7 @@ class LookAgain:
     def take(self, proposal: Proposal, now_s: float) -> tuple[Waypoint, ...] | None:
         """Give the plan to propose in place of the one before, None to keep that one."""
         self._waiting = False
+        del self._flown[: self._n_requested]
         for contact_id, reason in proposal.refused:
             if contact_id not in self._raised:
                 self._raised.add(contact_id)

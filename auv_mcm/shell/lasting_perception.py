@@ -282,7 +282,8 @@ class LastingPerception:
             await asyncio.to_thread(commit_checkpoint, self._keeping.folder, number)
         except OSError:
             return  # those before it serve
-        self._checkpoints.append(number)
+        if number != self._checkpoints[-1]:
+            self._checkpoints.append(number)
         self._spool.forget(self._checkpoints[0])
 
     async def _watch(self) -> None:

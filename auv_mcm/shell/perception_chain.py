@@ -201,8 +201,9 @@ class PerceptionChain:
         return self._keeping is not None and age_s >= (self._keeping.every_s if is_after_tile else _LONGEST_S)
 
     def checkpoint(self, number: int) -> bool:
-        """Write one. False if the disk does not take it: those before then have to serve."""
-        assert self._keeping is not None
+        """Write one. False if none is kept, or the disk does not take it: those before then have to serve."""
+        if self._keeping is None:
+            return False
         state = freeze(
             {
                 "kind": self._keeping.kind,

@@ -75,9 +75,13 @@ def work(
 def _serve(connection: Connection, chain: PerceptionChain, memory: NDArray[np.uint8]) -> None:
     """Answer each message, until None says that the mission has ended; then give the last answers."""
     connection.send(chain.started)
+    number = chain.started.number
     while (message := connection.recv()) is not None:
         if isinstance(message, PlanRequest):
-            connection.send(Planned(chain.propose(message)))
+            planned = Planned(chain.propose(message))
+            if message.flown and chain.checkpoint(number):  # no event gives these legs again
+                connection.send(Checkpointed(number))
+            connection.send(planned)
         elif isinstance(message, Reserve):
             chain.pipeline.reserve(message.n_contacts)
         else:

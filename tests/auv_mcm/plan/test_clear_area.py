@@ -229,6 +229,22 @@ def test_a_leg_that_is_not_reported_yet_is_not_flown_twice() -> None:
     assert len(slow.flown) <= len(quick.flown)
 
 
+def test_a_leg_whose_plan_was_lost_with_its_process_is_reported_again_and_counts_once() -> None:
+    mission = Mission(shown_after_s=1000.0)
+    mission.ping()
+    mission.plan()
+    steps = mission._way()
+    while not (flown := mission.look_again.so_far().flown):
+        mission._go(next(steps))
+        mission.now_s += 2.0
+    request = mission.look_again.request((*mission.geodetic(mission.place_m), 0.0), mission.now_s, mission.now_s)
+    assert request is not None
+    assert request.flown == flown == mission.look_again.so_far().flown
+    assert mission.propose(request) == mission.propose(request)
+    mission.look_again.take(mission.propose(request), mission.now_s)
+    assert mission.look_again.so_far().flown == ()
+
+
 @pytest.mark.parametrize(("p", "is_enough"), [(0.75, False), (0.85, True)])
 def test_a_leg_that_is_not_shown_yet_counts_for_what_one_view_clears(p: float, is_enough: bool) -> None:
     """A mean of 0.8 is required of a strip that all lies in the swath of the leg, on one side."""
