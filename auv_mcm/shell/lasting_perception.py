@@ -38,6 +38,7 @@ _WATCH_S: Final = 0.25  # s between two looks at the process
 _IDLE_S: Final = 1.0
 """s for which a process that owes answers may neither compute nor wait for the disk. One that lacks a processor wants
 to compute, and is not taken for one that hangs."""
+_IDLE_AT_START_S: Final = 10.0  # s, the same before it is ready: it waits for more than the disk there; chosen
 _BUSY_S: Final = 120.0
 """s of processor time for one answer. A pair of tiles takes 1 to 2 s here; with numpy for the kernels, on a computer
 five times slower, 60 to 120 s."""
@@ -111,12 +112,13 @@ class LastingPerception:
 
     async def start(self) -> Started:
         """Start the process and go on from what was kept, if anything was. Raises PerceptionError."""
-        started = await self._perception.start()
+        self._watching = asyncio.create_task(self._watch())
+        started = await self._started()
         self._checkpoints.append(started.number)
         self._answered = self._handed = self._handed_first = started.number
+        self._is_behind = False
         if self._given > started.number:
             self._go_on(started)
-        self._watching = asyncio.create_task(self._watch())
         return started
 
     def reserve(self, n_contacts: int) -> None:
@@ -232,6 +234,21 @@ class LastingPerception:
 
     async def _replace(self, error: PerceptionError) -> None:
         """Start another process in place of one that ended. Raises PerceptionError where that is of no use."""
+        self._put_away(error)
+        started = await self._started()
+        log.info("perception runs again: it is fed anew from event %d of %d", started.number + 1, self._given)
+        self._go_on(started)
+
+    async def _started(self) -> Started:
+        """Start the process, and another one where it ends before it is ready. Raises as `_replace`."""
+        while True:
+            try:
+                return await self._perception.start()
+            except PerceptionError as error:
+                self._put_away(error)
+
+    def _put_away(self, error: PerceptionError) -> None:
+        """Make another process in place of one that ended. Raises PerceptionError where that is of no use."""
         self._n_ended_there = self._n_ended_there + 1 if self._answered_here == self._ended_at else 1
         self._ended_at, self._answered_here = self._answered_here, None
         if self._n_ended_there >= (_MAX_ENDS_AT_START if self._ended_at is None else _MAX_ENDS):
@@ -246,13 +263,6 @@ class LastingPerception:
         self._awaited.clear()
         if self._spool.n_lost:  # it is not fed all that those announced came of
             self.reserve(self._n_announced)
-        try:
-            started = await self._perception.start()
-        except PerceptionError as another:
-            await self._replace(another)
-            return
-        log.info("perception runs again: it is fed anew from event %d of %d", started.number + 1, self._given)
-        self._go_on(started)
 
     def _go_on(self, started: Started) -> None:
         """Feed the process what is behind its checkpoint, and then what comes."""
@@ -297,7 +307,7 @@ class LastingPerception:
                 cpu_s, idle_s = 0.0 if now is None else now.cpu_s, 0.0
             else:
                 idle_s = idle_s + _WATCH_S if now.waits and now.cpu_s == last.cpu_s else 0.0
-                if idle_s >= _IDLE_S or now.cpu_s - cpu_s >= _BUSY_S:
+                if idle_s >= (_IDLE_S if now.n_answered else _IDLE_AT_START_S) or now.cpu_s - cpu_s >= _BUSY_S:
                     log.error("the perception process hangs, and is ended")
                     self._perception.kill()
                     now = None

@@ -136,6 +136,7 @@ class Perception:
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, mask)
             theirs.close()
+        self._n_owed = 1  # that it is ready
         self._to_undo.callback(self._end_process)
         self._to_undo.callback(self._connection.close)
         asyncio.get_running_loop().add_reader(self._connection.fileno(), self._receive)
@@ -254,7 +255,7 @@ class Perception:
         if isinstance(answer, Failure):
             self._set_dead(answer.error())
         else:
-            self._n_owed -= not isinstance(answer, Started | Checkpointed)
+            self._n_owed -= not isinstance(answer, Checkpointed)
             self._n_answered += 1
             self._answers.put_nowait(answer)
 

@@ -109,6 +109,7 @@ class Service:
         self._n_dropped_reported = 0
         self._n_lost_reported = 0
         self._disk = ThreadPoolExecutor(1, "disk")
+        self._starting: asyncio.Task[None] | None = None
         self._publishing: asyncio.Task[None] | None = None
         self._is_cut_short = False
         self._is_late = False  # the time to stop is over
@@ -182,11 +183,13 @@ class Service:
 
     async def _work(self, tasks: asyncio.TaskGroup) -> None:
         """Start everything, and work until all that came in is worked off."""
-        starting = tasks.create_task(self._start())
+        self._starting = tasks.create_task(self._start())
         await asyncio.to_thread(self._start_recording)
         self._start_vehicle_link()
         tasks.create_task(self._take_in())  # events that come in while perception starts are not lost
-        await starting
+        await asyncio.wait({self._starting})
+        if self._starting.cancelled():  # the time to stop is over
+            return
         gc.collect()
         gc.freeze()  # a collection would otherwise walk through every imported module and hold up the ports
         log.info("ready: source %s, results in %s", self._config.service.source or "given", self._folder)
@@ -330,9 +333,10 @@ class Service:
     def _end_publishing(self) -> None:
         """End the mission before all is worked off; what is left stays on disk."""
         self._is_late = True
-        if self._publishing is not None and not self._publishing.done():
-            self._is_cut_short = True
-            self._publishing.cancel()
+        for task in (self._starting, self._publishing):
+            if task is not None and not task.done():
+                self._is_cut_short = True
+                task.cancel()
 
     def _see(self, event: SourceEvent) -> int:
         """Keep an event and show it to the vehicle link as it comes, however long it waits for perception."""

@@ -363,6 +363,16 @@ class HangingOnce(_Once):
     number = signal.SIGSTOP
 
 
+class HangingAtItsStartOnce(_Once):
+    """Stops for good before it has started, once."""
+
+    number = signal.SIGSTOP
+
+    def __init__(self, config: Config, kept: Contacts) -> None:
+        self.fail()
+        super().__init__(config, kept)
+
+
 class DyingAtItsEndOnce(_Once):
     """Is killed once at the end of the mission."""
 

@@ -30,12 +30,19 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Served:
 
 @pytest.mark.parametrize(
     ("make", "n_restarts"),
-    [(fake.DyingOnce, 1), (fake.DyingOnceAndOnceAtItsStart, 2), (fake.HangingOnce, 1), (fake.DyingAtItsEndOnce, 1)],
+    [
+        (fake.DyingOnce, 1),
+        (fake.DyingOnceAndOnceAtItsStart, 2),
+        (fake.HangingOnce, 1),
+        (fake.HangingAtItsStartOnce, 1),
+        (fake.DyingAtItsEndOnce, 1),
+    ],
 )
 def test_a_mission_whose_perception_ends_on_the_way_gives_the_same_as_one_undisturbed(
     make: MakePipeline, n_restarts: int, undisturbed: Served, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("FAILED_ONCE", str(tmp_path / "failed"))
+    monkeypatch.setattr("auv_mcm.shell.lasting_perception._IDLE_AT_START_S", 1.0)
     (results, said), (expected, expected_said) = served(tmp_path / "disturbed", make), undisturbed
     assert said == expected_said
     assert journal(results) == journal(expected)

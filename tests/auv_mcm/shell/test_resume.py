@@ -193,6 +193,23 @@ def test_a_stop_that_comes_before_all_is_worked_off_leaves_the_rest_to_the_next_
     assert ids(serve(tmp_path, events(12, 24)).folder) == EXPECTED
 
 
+def test_a_stop_while_perception_hangs_at_its_start_does_not_wait_for_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FAILED_ONCE", str(tmp_path / "failed"))
+
+    async def run() -> Path:
+        config = Config(service=ServiceConfig(output_directory=str(tmp_path), stop_within_s=3.0))
+        service = Service(config, Ports(events(0, 12)), console=print, make_pipeline=fake.HangingAtItsStartOnce)
+        service.stop()
+        return await service.run()
+
+    folder = asyncio.run(run())
+    assert "perception.restarted" not in summary(folder)["counters"]
+    assert ids(folder) == []
+    assert ids(serve(tmp_path, events(12, 24)).folder) == EXPECTED
+
+
 def test_sessions_that_begin_as_a_clock_shows_the_same_have_numbers_of_their_own(tmp_path: Path) -> None:
     """The vehicle would take contacts of the second session for those of the first."""
     sessions = [open_session(tmp_path, Config(), ManualClock(), may_resume=False) for _ in range(3)]
