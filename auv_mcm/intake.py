@@ -26,6 +26,9 @@ _CLOCK_STEP_S: Final = 1.0  # s: a step back of less is a late ping, of more a c
 _MAX_HELD: Final = 1024  # navigation samples kept until pings step back too, or do not: 20 s of 50 Hz
 # navigation samples without a ping: 20 MB, ten minutes of 100 Hz. A sonar that is off must not let memory grow.
 _MAX_WITHOUT_PING: Final = 1 << 16
+# s of navigation without a ping, after which the segment ends: pings that a link holds up come sooner; chosen
+_QUIET_S: Final = 30.0
+_MAX_QUIET_STEP_S: Final = 1.0  # that a sample adds to it: a leap of its clock is no quiet
 _MIN_HELD: Final = 3  # in a row, by which navigation has stepped back: one or two are late, or a glitch
 _MIN_SEGMENT_GAP_S: Final = 2.0  # s without a ping that end a segment, whatever navigation may bridge
 _MIN_STEP_M: Final = 1e-3  # m between pings: keeps distances along the track increasing when the vehicle stands
@@ -88,6 +91,9 @@ class Intake:
         self._squint_rad: float | None = None  # of the newest ping
         self._newest_s = math.nan  # of the pings: one wrong stamp of navigation must not end all waiting for it
         self._n_without_ping = 0  # navigation samples since the newest ping
+        self._quiet_s = 0.0  # that they lasted
+        self._navigated_s = math.nan  # of the newest sample
+        self._is_open = False  # the segment has pings
         self._leap: Ping | None = None  # after a hole in time, until another ping confirms its stamp
         self._longest_hole_s = max(_MIN_SEGMENT_GAP_S, config.navigation.max_gap_s)
         self._previous_speed_mps = math.nan
@@ -109,6 +115,8 @@ class Intake:
         still comes in the old one is refused.
         """
         self._n_without_ping += 1
+        step_s, self._navigated_s = sample.time_s - self._navigated_s, sample.time_s
+        self._quiet_s += min(step_s, _MAX_QUIET_STEP_S) if step_s > 0.0 else 0.0
         newest_s = self._navigation.span_s[1]
         if not newest_s - sample.time_s > _CLOCK_STEP_S:
             self._refuse_held()
@@ -124,7 +132,13 @@ class Intake:
         return self.take_notices()
 
     def let_go(self) -> list[PingBlock | SegmentEnd]:
-        """Release the pings that wait, and forget navigation that later ones do not need, where none come any more."""
+        """Release the pings that wait, and forget navigation that later ones do not need, where none come any more.
+
+        The segment ends there once no later sample changes where the pings are: as it does where they go on later.
+        """
+        if self._is_open and self._quiet_s >= _QUIET_S and self._is_ready(self._newest_s):
+            self._is_open = False
+            return [*self._release(everything=True), SegmentEnd()]
         if self._n_without_ping < _MAX_WITHOUT_PING:
             return []
         self._n_without_ping = 0
@@ -184,9 +198,10 @@ class Intake:
             self._renew_navigation()
         elif step_s > self._longest_hole_s:
             self._counters["ping.gap"] += 1
-            self._pending.append(SegmentEnd())
+            if self._is_open:
+                self._pending.append(SegmentEnd())
         self._newest_s = ping.time_s
-        self._n_without_ping = 0
+        self._n_without_ping, self._quiet_s, self._is_open = 0, 0.0, True
         self._pending.append(ping)
         return done + self._release(everything=False)
 

@@ -313,6 +313,29 @@ def test_a_sonar_that_is_off_lets_no_memory_grow_and_costs_no_ping(monkeypatch: 
     assert not any(block.poses.stale.any() for block in fed.blocks)
 
 
+def test_where_the_sonar_stays_silent_its_last_pings_come_and_the_segment_ends_as_if_they_had_waited() -> None:
+    silence = [navigation(index) for index in range(26, 3000)]
+    later = [event for n in range(40) for event in (navigation(3000 + n), ping(6000 + 2 * n))]
+    waiting = Fed().feed([*mission(50), *silence, *later]).flush()
+    fed = Fed().feed(mission(50))
+    for sample in silence:
+        fed.feed([sample])
+        fed.released += fed.intake.let_go()
+    assert fed.segments == [[*range(50)]]
+    assert isinstance(fed.released[-1], SegmentEnd)
+    assert_same_blocks(fed.feed(later).flush(), waiting)
+
+
+@pytest.mark.parametrize("later_s", [10.0, 3600.0])
+def test_no_segment_ends_while_pings_come_though_the_clock_of_navigation_leaps(later_s: float) -> None:
+    fed, events = Fed(), mission(60)
+    leap = structs.replace(navigation(20), time_s=START_S + later_s)
+    for event in [*events[:60], leap, *events[60:]]:
+        fed.feed([event])
+        fed.released += fed.intake.let_go()
+    assert fed.flush().segments == [[*range(60)]]
+
+
 def test_distance_is_speed_integrated_over_time_across_blocks() -> None:
     fed = Fed().feed(mission(200)).flush()
     distance = np.concatenate(along(fed))

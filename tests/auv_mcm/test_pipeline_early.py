@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from functools import cache
 
+import msgspec
 import pytest
 
 from auv_mcm.contacts.export import contacts_geojson
@@ -112,6 +113,25 @@ def test_everything_but_early_contacts_is_the_same_to_the_byte_with_them_and_wit
     alike = {name: count for name, count in early_chain.counters.items() if not name.startswith("early.")}
     assert alike == dict(chain.counters)
     assert not early_words(out)
+
+
+def test_where_the_sonar_stays_silent_all_is_announced_before_the_end_and_the_contacts_are_the_same() -> None:
+    last = [event for event in mission() if isinstance(event, NavSample)][-100:]
+    north_deg = (last[-1].latitude_deg - last[0].latitude_deg) / 99
+    step_s = (last[-1].time_s - last[0].time_s) / 99
+    silence = [
+        msgspec.structs.replace(
+            last[-1], time_s=last[-1].time_s + n * step_s, latitude_deg=last[-1].latitude_deg + n * north_deg
+        )
+        for n in range(1, math.ceil(60.0 / step_s))
+    ]
+    pipeline = Pipeline(CONFIG)
+    out = [event for each in (*mission(), *silence) for event in pipeline.feed(each)]
+    chain, ended = without()
+    assert contacts_geojson(pipeline.contacts) == contacts_geojson(chain.contacts)
+    assert [type(event) for event in out] == [type(event) for _, event in ended]
+    assert not any(isinstance(event, Tile | Contact) for event in pipeline.finish())
+    assert pipeline.counters == chain.counters
 
 
 @pytest.mark.parametrize("threads", [1, 2])
