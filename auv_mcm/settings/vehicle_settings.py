@@ -90,8 +90,8 @@ class ImcSettings(_Settings, frozen=True, kw_only=True):
         int,
         Meta(ge=0, le=0xFFFE),
         Meta(
-            description="the vehicle's IMC address; 0: that of the first vehicle that announces itself or reports its "
-            "state"
+            description="the vehicle's IMC address; 0: that of the first vehicle heard, until it is silent for 60 s; "
+            "where several are heard none is commanded"
         ),
     ] = 0
     own_plan: Annotated[

@@ -18,6 +18,7 @@ from drivers.vehicle.imc_messages import ImcMessage
 from drivers.vehicle.imc_wire import ImcGrammar, ImcPacket
 
 VEHICLE_TYPES: Final = frozenset({2, 3})  # Announce.sys_type: under water, on the surface
+_ANOTHER_AFTER_S: Final = 60.0  # s of silence of a vehicle that is not named, until another takes its place; chosen
 _MAX_OFFSET_M: Final = 1e5  # m from the reference: more is damage
 
 
@@ -30,10 +31,52 @@ class ImcReceived(NamedTuple):
     time_s: float
 
 
+class FollowedVehicle:
+    """Choose whom to follow: the vehicle that is named, or the first one heard until it is silent and another speaks.
+
+    number: its IMC address, None before it is heard.
+    """
+
+    def __init__(self, named: int) -> None:
+        """named: the address configured, 0 for none."""
+        self._named = named or None
+        self._all: dict[int, None] = {}  # vehicles heard, where none is named
+        self.restart()
+
+    def restart(self) -> None:
+        """Choose anew, as on a wire that was opened anew."""
+        self.number, self._heard_s = self._named, -math.inf
+
+    def hear(self, source: int, message: ImcMessage, now_s: float) -> None:
+        """Take a message of any source but the payload."""
+        if self._named is None and is_vehicle(message):
+            self._all[source] = None
+            if now_s - self._heard_s > _ANOTHER_AFTER_S:
+                self.number = source
+        if source == self.number:
+            self._heard_s = now_s
+
+    @property
+    def may_be_asked(self) -> bool:
+        """Check whether a vehicle is known that may be asked for control."""
+        return self.number is not None and not self.doubt
+
+    @property
+    def doubt(self) -> str:
+        """Say why none of several vehicles is asked for control, "" where it is clear whom to ask."""
+        if len(self._all) < 2:
+            return ""
+        heard = " and ".join(f"0x{number:04X} ({number})" for number in self._all)
+        return (
+            f"vehicles {heard} are heard, and imc.vehicle_id names none: one is followed until silent for "
+            f"{_ANOTHER_AFTER_S:g} s, none is asked for control. Set vehicle_id to the one that carries the payload."
+        )
+
+
 class ImcDecoder:
     """Decode an IMC vehicle, and others on its network.
 
-    Fixes are those of the vehicle that is configured, or of the first source that announces itself as one.
+    Fixes are those of the vehicle that is followed, see `FollowedVehicle`.
 
     counters: those of the framer, imc.other_messages (kinds not known here), imc.other_source (the payload's own),
     imc.refused.payload.
@@ -42,8 +85,7 @@ class ImcDecoder:
     def __init__(self, settings: ImcSettings, port: str) -> None:
         """port: name that fixes carry."""
         self._own_id = settings.source_id
-        self._vehicle = settings.vehicle_id or None
-        self._is_named = bool(settings.vehicle_id)
+        self._vehicle = FollowedVehicle(settings.vehicle_id)
         self._port = port
         self._framer = StampedFramer(ImcGrammar())
         self.bus_counters: Counter[str] = Counter()
@@ -58,7 +100,7 @@ class ImcDecoder:
         return [self._message(packet, at)._replace(of_vehicle=self._is_of_vehicle(packet)) for packet, at, _ in framed]
 
     def _is_of_vehicle(self, packet: ImcPacket) -> bool:
-        return packet.source == self._vehicle if self._is_named else packet.source != self._own_id
+        return packet.source != self._own_id if self._vehicle.number is None else packet.source == self._vehicle.number
 
     def _message(self, packet: ImcPacket, received: Stamp) -> VehicleMessage:
         if packet.source == self._own_id:
@@ -72,14 +114,13 @@ class ImcDecoder:
         except ValueError:
             self.counters["imc.refused.payload"] += 1
             return VehicleMessage(None, received)
-        if self._vehicle is None and is_vehicle(message):
-            self._vehicle = packet.source
+        self._vehicle.hear(packet.source, message, 1e-9 * received.mono_ns)
         record = ImcReceived(message, packet.source, packet.destination, packet.time_s)
         if not isinstance(message, imc.EstimatedState):
             return VehicleMessage(record, received)
         state = _state_of(message, received)
         return VehicleMessage(
-            record, received, state, (fix_of(self._port, state),) if packet.source == self._vehicle else ()
+            record, received, state, (fix_of(self._port, state),) if packet.source == self._vehicle.number else ()
         )
 
 

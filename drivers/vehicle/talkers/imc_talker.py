@@ -23,7 +23,7 @@ from auv_mcm.clock import Stamp
 from auv_mcm.records import NAN
 from auv_mcm.settings.vehicle_settings import ImcSettings
 from drivers.vehicle import imc_messages as imc
-from drivers.vehicle.decoders.imc_decoder import ImcReceived, is_vehicle
+from drivers.vehicle.decoders.imc_decoder import FollowedVehicle, ImcReceived
 from drivers.vehicle.dialect import (
     Acknowledged,
     Capability,
@@ -115,7 +115,7 @@ class ImcTalker:
         self._settings = settings
         self.counters: Counter[str] = Counter()
         self._open = False
-        self._vehicle = settings.vehicle_id or None
+        self._vehicle = FollowedVehicle(settings.vehicle_id)
         self._utc_ahead_s: float | None = None  # of the monotonic clock
         self._stage: Literal["idle", "requested", "granted"] = "idle"
         self._request_id = first_request_id - 1  # of the last request
@@ -124,9 +124,8 @@ class ImcTalker:
         self._n_starts = 0
         self._start_due_s = 0.0
         self._succeeded = False  # the vehicle answered SUCCESS to the START
-        self._followed_s: float | None = (
-            None  # when the vehicle last reported that the manoeuvre runs for us; None: it does not
-        )
+        # when the vehicle last reported that the manoeuvre runs for us; None: it does not
+        self._followed_s: float | None = None
         self._granted_s = 0.0
         self._seen_plan = self._seen_maneuver = False  # since the grant
         self._stop_due_s = 0.0
@@ -160,7 +159,7 @@ class ImcTalker:
     def connected(self, now_s: float) -> None:
         self.disconnected()
         self._open = True
-        self._vehicle = self._settings.vehicle_id or None
+        self._vehicle.restart()
         self._heartbeat_due_s = self._health_due_s = self._stop_due_s = now_s
 
     def disconnected(self) -> None:
@@ -252,7 +251,7 @@ class ImcTalker:
         if self._health is not None and now_s >= self._health_due_s:
             self._health_due_s = max(self._health_due_s + _HEALTH_S, now_s)
             messages.append(imc.EntityState(_STATUS[self._health.state], 0, self._health.text))
-        to = ANYONE if self._vehicle is None else self._vehicle
+        to = ANYONE if self._vehicle.number is None else self._vehicle.number
         time_s = 0.0 if self._utc_ahead_s is None else now_s + self._utc_ahead_s
         return [packed(message, self._settings.source_id, entity=_ENTITY, to=to, time_s=time_s) for message in messages]
 
@@ -261,7 +260,7 @@ class ImcTalker:
         return [command_in(packet, self._settings.control_timeout_s) for packet in outgoing]
 
     def _start_is_due(self, now_s: float) -> bool:
-        wanted = self._stage == "requested" and self._settings.own_plan and self._vehicle is not None
+        wanted = self._stage == "requested" and self._settings.own_plan and self._vehicle.may_be_asked
         return wanted and self._n_starts < _MAX_STARTS and now_s >= self._start_due_s
 
     def _start(self) -> imc.PlanControl:
@@ -303,14 +302,26 @@ class ImcTalker:
         if isinstance(message, imc.Abort):
             self._idle()
             return [Withheld(f"Abort from 0x{received.source:04X}")]  # whoever sends it, and whether or not we command
-        if self._vehicle is None and is_vehicle(message):
-            self._vehicle = received.source
-        if received.source != self._vehicle:
+        doubts = self._choose(received, now_s)
+        if received.source != self._vehicle.number:
             self.counters["imc.other_source"] += 1
-            return []
-        if self._gives_leave(message):
-            doubt = self._doubt(received.time_s, now_s)
-            if doubt:
+            return doubts
+        return doubts + self._believed(received, state, now_s)
+
+    def _choose(self, received: ImcReceived, now_s: float) -> list[VehicleEvent]:
+        """Choose the vehicle to follow. Another one begins with nothing said, and a clock of its own."""
+        before, doubted = self._vehicle.number, self._vehicle.doubt
+        self._vehicle.hear(received.source, received.message, now_s)
+        if before not in (None, self._vehicle.number):
+            is_open, self._vehicles_clock = self._open, SenderClock()
+            self.disconnected()
+            self._open = is_open
+        return [Doubted(self._vehicle.doubt)] if self._vehicle.doubt and not doubted else []
+
+    def _believed(self, received: ImcReceived, state: ReportedState | None, now_s: float) -> list[VehicleEvent]:
+        """Take a message of the vehicle, unless it would give control and may be an old one."""
+        if self._gives_leave(message := received.message):
+            if doubt := self._doubt(received.time_s, now_s):
                 self.counters["imc.refused.stale"] += 1
                 return [Doubted(doubt)]
         else:
@@ -400,7 +411,7 @@ class ImcTalker:
         return self._arrival(message)
 
     def _granted(self, now_s: float) -> list[VehicleEvent]:
-        if self._stage != "requested" or not self._succeeded or self._followed_s is None:
+        if self._stage != "requested" or not self._succeeded or self._followed_s is None or self._vehicle.doubt:
             return []
         self._stage = "granted"
         self._granted_s = now_s
@@ -482,6 +493,8 @@ class ImcTalker:
         return [Acknowledged(pending.ticket) if message.taken else Rejected(pending.ticket, message.reason)]
 
     def _overdue(self, now_s: float) -> list[VehicleEvent]:
+        if self._vehicle.doubt and self._stage == "requested":
+            return self._withheld(self._vehicle.doubt)
         if self._unanswered_s is not None and now_s - self._unanswered_s > self._settings.control_timeout_s:
             return self._withheld("the vehicle does not answer our references")
         return []

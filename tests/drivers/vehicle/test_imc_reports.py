@@ -10,12 +10,14 @@ from drivers.vehicle import imc_messages as imc
 from drivers.vehicle.dialect import (
     Acknowledged,
     Capability,
+    Doubted,
     PayloadHealth,
     PlaceReached,
     Rejected,
     ReportedState,
     Steer,
     VehicleEvent,
+    Withheld,
 )
 from drivers.vehicle.imc_contact import imc_contact_of
 from drivers.vehicle.imc_messages import EntityStatus, ImcMessage, Proximity, RefState, ZUnits
@@ -101,10 +103,49 @@ def test_the_first_vehicle_is_the_vehicle(first: ImcMessage) -> None:
     assert talk.sent_of(imc.PlanControl, 3.0) == [], "nobody knows yet whom to ask"
     talk.hear(imc.Announce("console", 0), source=OTHER)
     talk.hear(first)
-    assert talk.hear(imc.Announce("another", 2), estimated(42.0, -8.0), source=OTHER) == []
+    assert {packet.destination for packet in talk.packets()} == {VEHICLE}
+    (doubted, refused) = talk.hear(imc.Announce("another", 2), estimated(42.0, -8.0), source=OTHER)
+    assert isinstance(doubted, Doubted)
+    assert isinstance(refused, Withheld)
+    assert "0x001E (30) and 0x002F (47)" in doubted.reason
+    talk.now_s += 1.0
     assert {packet.destination for packet in talk.packets()} == {VEHICLE}
     talk.dialect.connected(talk.now_s)
     assert {packet.destination for packet in talk.packets()} == {ANYONE}
+
+
+def positions(talk: Talk, *latitudes_deg: tuple[int, float]) -> list[float]:
+    """Those that are believed, of positions reported by their sources."""
+    events = [event for source, at in latitudes_deg for event in talk.hear(estimated(at, -8.5), source=source)]
+    return [round(event.latitude_deg, 6) for event in events if isinstance(event, ReportedState)]
+
+
+def test_another_vehicle_that_was_heard_first_does_not_take_the_place_of_ours_for_ever() -> None:
+    talk = Talk(LEARNS)
+    assert positions(talk, (OTHER, 42.0), (VEHICLE, 41.0)) == [42.0]
+    for _ in range(59):
+        talk.now_s += 1.0
+        assert positions(talk, (VEHICLE, 41.0)) == []
+    talk.now_s += 2.0
+    assert positions(talk, (VEHICLE, 41.0), (OTHER, 42.0)) == [41.0]
+    (message,) = talk.dialect.decoder.feed(packed(estimated(41.0, -8.5), VEHICLE), stamp_at(talk.now_s))
+    assert (message.of_vehicle, len(message.fixes)) == (True, 1)
+    assert {packet.destination for packet in talk.packets()} == {VEHICLE}
+
+
+def test_of_several_vehicles_none_is_asked_for_control_before_one_is_named() -> None:
+    talk = Talk(LEARNS)
+    positions(talk, (OTHER, 42.0), (VEHICLE, 41.0))
+    talk.dialect.connected(talk.now_s)
+    positions(talk, (VEHICLE, 41.0))
+    talk.dialect.request(talk.now_s)
+    assert talk.sent_of(imc.PlanControl, 3.0) == []
+    (refused,) = talk.hear(imc.Heartbeat())
+    assert isinstance(refused, Withheld)
+    assert "Set vehicle_id" in refused.reason
+    named = Talk()
+    positions(named, (OTHER, 42.0), (VEHICLE, 41.0))
+    named.take_over()
 
 
 def test_heartbeat_every_second_and_health_when_it_changes() -> None:
