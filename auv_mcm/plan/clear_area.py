@@ -100,7 +100,8 @@ class ClearArea:
 
     def add(self, patch: CoveragePatch) -> None:
         """Take a patch that has become part of the clearance."""
-        self._shown_until_s[patch.side] = patch.stop_s
+        if patch.stop_s <= self._now_s + _CLOCK_STEP_S:  # else it is of a clock that was set back since
+            self._shown_until_s[patch.side] = patch.stop_s
 
     def propose(
         self,

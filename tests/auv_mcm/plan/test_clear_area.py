@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from auv_mcm.clearance.clearance_map import ClearanceMap, clearance_over, unsearched
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.plan.clear_area import MAX_VAIN_PASSES, ClearArea, floor_ahead
-from auv_mcm.plan.look_again import LookAgain, PlanRequest, Proposal
-from auv_mcm.records import SEABED_TYPES, Contact, CoveragePatch, EchoTrace, Ping, Side, SurveyedCells, Waypoint
+from auv_mcm.plan.look_again import LookAgain, PlanRequest, Proposal, Run
+from auv_mcm.records import SEABED_TYPES, SIDES, Contact, CoveragePatch, EchoTrace, Ping, Side, SurveyedCells, Waypoint
 from auv_mcm.settings.config import Config
 from auv_mcm.settings.plan_settings import PlanConfig
 from auv_mcm.settings.vehicle_settings import VehicleConfig
@@ -282,6 +282,33 @@ def test_a_leg_that_is_shown_while_it_is_sailed_is_not_in_vain() -> None:
 def test_a_clock_that_is_set_back_gives_up_nothing_that_legs_show() -> None:
     mission = Mission(model=EvenLook(0.3, same=0.2), utc_s=lambda now_s: now_s if now_s < 1300.0 else now_s - 3600.0)
     assert mission.run().startswith("done")
+
+
+def runs(waypoints: tuple[Waypoint, ...]) -> list[Run]:
+    return [
+        ((entry.latitude_deg, entry.longitude_deg), (leave.latitude_deg, leave.longitude_deg))
+        for entry, leave in pairwise(waypoints)
+        if leave.kind == "leg_exit"
+    ]
+
+
+def test_what_comes_of_a_clock_that_was_set_back_shows_no_later_leg() -> None:
+    def planned(before_s: tuple[float, ...]) -> list[Run]:
+        mission = Mission()
+        mission.ping()
+        mission.plan()
+        flown, *_ = runs(mission.look_again.plan)
+        mission.now_s = 100.0
+        mission.ping()  # the segment ends, and its last tile comes
+        for stop_s in before_s:
+            for side in SIDES:
+                mission.planner.add(drawn_patch(side, stop_s - 10.0, stop_s, None))
+        mission.now_s += 30.0
+        mission.ping()
+        request = PlanRequest(*flown[1], 0.0, frozenset(), flown=(flown,), time_s=mission.now_s)
+        return runs(mission.propose(request).waypoints)
+
+    assert planned((1000.0,)) == planned(())
 
 
 def test_where_no_mine_can_be_found_the_plan_states_at_once_that_the_area_cannot_be_cleared() -> None:
