@@ -161,12 +161,12 @@ class LookAgain:
         looks = tuple((name, looks.n_views, looks.n_flown, looks.n_vain) for name, looks in self._looks.items())
         return LooksSoFar(self._sailed_m, looks, tuple(self._flown), tuple(sorted(self._raised)))
 
-    def go_on(self, so_far: LooksSoFar) -> None:
-        """Go on after a restart; called first."""
+    def go_on(self, so_far: LooksSoFar, now_s: float = -math.inf) -> None:
+        """Go on after a restart; called first. now_s: what legs before have shown may still come from then on."""
         self._sailed_m, self._flown, self._raised = so_far.sailed_m, list(so_far.flown), set(so_far.raised)
         for name, n_views, n_flown, n_vain in so_far.looks:
             looks = self._looks[name] = _Looks()
-            looks.n_views, looks.n_flown, looks.n_vain = n_views, n_flown, n_vain
+            looks.n_views, looks.n_flown, looks.n_vain, looks.flown_s = n_views, n_flown, n_vain, now_s
 
     def learn(self, contact: Contact) -> None:
         """Take a contact, new or changed."""

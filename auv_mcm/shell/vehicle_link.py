@@ -76,7 +76,7 @@ class VehicleLink:
     def go_on(self, session: int, n_starts: int, so_far: LooksSoFar) -> None:
         """Go on with a session that n_starts runs before this one began; called first. Control is requested anew."""
         self.vehicle.go_on(session, n_starts)
-        self._look_again.go_on(so_far)
+        self._look_again.go_on(so_far, self._clock.monotonic_s())
 
     def see(self, event: SourceEvent) -> None:
         """Take any event of the source, as it comes."""

@@ -171,6 +171,18 @@ def test_what_was_given_up_before_a_restart_is_not_requested_after_it() -> None:
     assert after.plan(100.0)
 
 
+def test_a_leg_right_before_a_restart_is_waited_for_after_it() -> None:
+    before, after = Mission([contact(1, 40.0, 40.0)]), Mission([])
+    before.be_at(0.0, 0.0)
+    ((entry, leaving),) = legs(before.plan())
+    before.fly(entry, leaving)
+    after.look_again.go_on(before.look_again.so_far(), after.now_s)
+    after.contacts = before.contacts
+    after.look_again.learn(before.contacts["C00001"])
+    assert not legs(after.plan(10.0))
+    assert legs(after.plan(WAIT_FOR_VIEW_S))
+
+
 @pytest.mark.parametrize(("upto", "counts"), [(0.4, False), (0.7, True)])
 def test_a_leg_that_ends_early_counts_if_the_contact_was_passed(upto: float, counts: bool) -> None:
     mission = Mission([contact(1, 40.0, 40.0)])
