@@ -35,7 +35,7 @@ _Nats: TypeAlias = Annotated[float, msgspec.Meta(ge=-1e3, le=1e3)]
 class Forecast(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Forecast the final log-odds of a mine: offset + sum of weight * feature, in nats.
 
-    margin_nats: by which the log-odds of contacts exceeded it, but for one in a thousand.
+    margin_nats: by which the log-odds of contacts exceeded it, but for one in two hundred.
     """
 
     offset: _Nats
