@@ -8,8 +8,9 @@ overwritten in a copy of the file, so that everything else in it stays as it was
 from __future__ import annotations
 
 import math
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Iterator, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import Any, Final, NamedTuple, TypeAlias
 
@@ -37,6 +38,7 @@ from sim_replay.simulator.scene import Sonar
 _SONAR_PACKET: Final = 0  # XTF header type of a ping
 _PING_HEADER: Final = 256  # bytes (XTF)
 _CHANNEL_HEADER: Final = 64  # bytes (XTF)
+_APART: Final = 8  # packets from the first of a ping to its last, as of four frequencies (chosen)
 _NEPERS_PER_DB: Final = 0.1 * math.log(10.0)  # of power
 _DEPTH_M: Final = 20.0  # absorption hardly depends on it
 
@@ -254,27 +256,27 @@ def sample_places(path: Path, pings: Sequence[Ping]) -> dict[tuple[int, Side], S
         channels = (
             (item.offset, item.data) for item in packets if isinstance(item, XtfPacket) and item.kind == _SONAR_PACKET
         )
+        ahead = deque(islice(channels, _APART))
         for ping in pings:
-            for offset, data in channels:
-                found = _matches(ping, data)
-                if found:
-                    places |= {
-                        (ping.number, side): SamplePlace(offset + start, turned)
-                        for side, (start, turned) in found.items()
-                    }
-                    break
+            found: dict[Side, SamplePlace] = {}
+            while ahead and not found:
+                found = _matches(ping, *ahead.popleft(), SIDES)
+                ahead.extend(islice(channels, 1))
+            for offset, data in ahead if found else ():  # a recorder may write each side into a packet of its own
+                found |= _matches(ping, offset, data, [side for side in SIDES if side not in found])
+            places |= {(ping.number, side): place for side, place in found.items()}
     return places
 
 
-def _matches(ping: Ping, data: bytes) -> dict[Side, tuple[int, bool]]:
-    """Return start and order of each side's samples within a ping's packet; empty if it is another ping's packet."""
-    found: dict[Side, tuple[int, bool]] = {}
+def _matches(ping: Ping, offset: int, data: bytes, sides: Sequence[Side]) -> dict[Side, SamplePlace]:
+    """Locate the samples of some sides in the packet at `offset` of the file; empty if it is another ping's packet."""
+    found: dict[Side, SamplePlace] = {}
     start = _PING_HEADER
     while start + _CHANNEL_HEADER <= len(data):
         n_samples = int(pyxtf.XTFPingChanHeader.from_buffer_copy(data, start).NumSamples)
         start += _CHANNEL_HEADER
         itemsize = 1
-        for side in SIDES:
+        for side in sides:
             trace = ping.port if side == "port" else ping.starboard
             if side in found or trace is None:
                 continue
@@ -285,7 +287,7 @@ def _matches(ping: Ping, data: bytes) -> dict[Side, tuple[int, bool]]:
             stored = np.frombuffer(data, trace.samples.dtype, n_samples, start)
             turned = np.array_equal(stored[::-1], trace.samples, equal_nan=True)
             if turned or np.array_equal(stored, trace.samples, equal_nan=True):
-                found[side] = (start, turned)
+                found[side] = SamplePlace(offset + start, turned)
                 break
         start += n_samples * itemsize
     return found

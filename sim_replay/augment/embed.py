@@ -172,8 +172,9 @@ class _Window(NamedTuple):
             trace, place = self.stretch.trace(k, self.side), self.places.get((self.stretch.pings[k].number, self.side))
             if trace is None or place is None:
                 raise BadInputError(
-                    f"{self.stretch.pings[k].place}: its {self.side} samples cannot be overwritten, as the log stores "
-                    "them scaled. Keep targets away from there"
+                    f"{self.stretch.pings[k].place}: its {self.side} samples cannot be overwritten, as the log does "
+                    "not store them as they are read: scaled, signed, or both sides in one. Keep targets away from "
+                    "there, or export the log with unsigned samples and a channel for each side"
                 )
             stored = np.frombuffer(self.data, trace.samples.dtype, trace.samples.shape[0], place.offset)
             rows.append(stored[::-1] if place.turned else stored)

@@ -21,6 +21,7 @@ from sim_replay.logs.open_log import open_log
 from sim_replay.logs.xtf import XtfLog
 from sim_replay.scoring.inputs import read_truth
 from tests.sim_replay.augment.plain_logs import CONFIG, HEADING_RAD, STEP_M, written
+from tests.sim_replay.logs.xtf_logs import packet, stored
 
 SPEC = """
 targets:
@@ -68,6 +69,18 @@ def test_targets_lie_where_a_replay_of_the_same_configuration_sees_them(log: Pat
             for side in changed:
                 changed[side] = int((getattr(before, side).samples != getattr(after, side).samples).sum())
     assert changed["starboard"] > 10 * changed["port"], "the cylinder's side at ping 80"
+
+
+def test_a_recorder_that_writes_a_packet_per_channel_gets_the_same_targets(log: Path, tmp_path: Path) -> None:
+    head, kept = stored(log)
+    apart = tmp_path / "apart.xtf"
+    apart.write_bytes(bytes(head) + b"".join(packet(one.header, [side]) for one in kept for side in one.sides))
+    spec = parse_target_spec(SPEC, "spec")
+    together, parted = (augment(one, spec, tmp_path / f"out-{one.stem}", CONFIG).log for one in (log, apart))
+    for one, other in zip(open_log(together, CONFIG), open_log(parted, CONFIG), strict=True):
+        if isinstance(one, Ping) and isinstance(other, Ping):
+            for side in ("port", "starboard"):
+                assert np.array_equal(getattr(one, side).samples, getattr(other, side).samples)
 
 
 def test_equal_input_gives_equal_files(log: Path, tmp_path: Path) -> None:
