@@ -23,7 +23,7 @@ from sim_replay.logs.open_log import logs_config
 from sim_replay.logs.recorded import open_mission
 from sim_replay.logs.session_parts import recordings_of, session_of
 from sim_replay.report.report_file import REPORT_CONTENTS
-from sim_replay.results_folder import resolved_log
+from sim_replay.results_folder import named_path, resolved_log
 from sim_replay.verdicts import VERDICTS_FILE
 
 CONTACTS: Final = "contacts.geojson"
@@ -125,4 +125,4 @@ def _log_of(entry: dict[str, str], folder: Path) -> Path:
     try:
         return resolved_log(entry, folder)
     except FileNotFoundError:
-        return Path(entry["path"])  # which is missed only where the log itself is needed
+        return named_path(entry)  # which is missed only where the log itself is needed

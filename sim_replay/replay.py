@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import resource
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -40,6 +39,7 @@ from sim_replay.mosaic import Mosaic
 from sim_replay.report import MissionRecord, PictureCollector, Shown, write_report
 from sim_replay.report.map_picture import MAX_BLOCKS, RESOLUTION_M, map_picture
 from sim_replay.report.report_file import REPORT, report_contents, write_contents
+from sim_replay.results_folder import log_entry
 from sim_replay.verdicts import Verdict, read_verdicts
 
 MAX_TRACK_POINTS: Final = 4000  # of the track in the report: bounds the page
@@ -240,10 +240,7 @@ class _Replaying:
 
     def _origin(self, folder: Path) -> dict[str, Any]:
         """Name the logs, and the bottom lines that came with them."""
-        logs = [
-            {"path": str(path.absolute()), "bytes": size, "relative": os.path.relpath(path, folder)}
-            for path, size in self._mission.sizes_bytes.items()
-        ]
+        logs = [log_entry(path, size, folder) for path, size in self._mission.sizes_bytes.items()]
         lines = [line.entry() for line in self._mission.bottom_lines]
         return {"logs": logs, **({"bottom_lines": lines} if lines else {})}
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
+from urllib.parse import unquote_to_bytes
 
 import msgspec
 
@@ -39,6 +40,24 @@ def default_results(logs: Sequence[Path], parent: Path = Path()) -> Path:
         number += 1
 
 
+def log_entry(path: Path, n_bytes: int, folder: Path) -> dict[str, Any]:
+    """Name a log in the summary of the results in `folder`, also one whose name is no valid UTF-8, as a URI."""
+    entry: dict[str, Any] = {"path": str(path.absolute()), "bytes": n_bytes, "relative": os.path.relpath(path, folder)}
+    try:
+        entry["path"].encode()
+    except UnicodeEncodeError:
+        entry["uri"] = path.absolute().as_uri()
+    return entry
+
+
+def named_path(entry: Mapping[str, Any]) -> Path:
+    """Return where a log was, of which `log_entry` gave the entry."""
+    uri = entry.get("uri")
+    if isinstance(uri, str):
+        return Path(os.fsdecode(unquote_to_bytes(uri.removeprefix("file://"))))
+    return Path(str(entry.get("path", "")))
+
+
 def resolved_log(entry: object, folder: Path) -> Path:
     """Find a log that results name: where it was, or of the same size relative to the results or beside them.
 
@@ -55,9 +74,9 @@ def resolved_log(entry: object, folder: Path) -> Path:
         If it is at none of these places, with the path that it had.
     """
     known = entry if isinstance(entry, dict) else {}
-    named = Path(str(known.get("path", "")))
+    named = named_path(known)
     relative = known.get("relative")
-    places = [named, *([folder / relative] if isinstance(relative, str) else [])]
+    places = [named, *([folder / os.path.dirname(relative) / named.name] if isinstance(relative, str) else [])]
     places += [folder / named, folder / named.name, folder.parent / named.name]
     size = known.get("bytes")  # another log may have the same name
 
@@ -80,7 +99,7 @@ def is_replayed(folder: Path, config: Config) -> bool:
         return False
     made_ns = (folder / SUMMARY).stat().st_mtime_ns
     same_log = all(_is_unchanged(entry, made_ns) for entry in summary["logs"])
-    same_log = same_log and _used_lines(summary) == lines_beside(Path(entry["path"]) for entry in summary["logs"])
+    same_log = same_log and _used_lines(summary) == lines_beside(map(named_path, summary["logs"]))
     return same_log and _is_same(summary["config"], config) and summary["version"] == __version__
 
 
@@ -104,7 +123,7 @@ def _is_same(written: Any, config: Config) -> bool:
 def _is_unchanged(entry: dict[str, Any], made_ns: int) -> bool:
     """Check that a log is as large as its results say, and older than they are."""
     try:
-        status = os.stat(entry["path"])
+        status = os.stat(named_path(entry))
     except OSError:
         return False
     return status.st_size == entry["bytes"] and status.st_mtime_ns <= made_ns

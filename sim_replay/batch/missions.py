@@ -21,7 +21,7 @@ from sim_replay.logs.archive import ArchivedLog
 from sim_replay.logs.open_log import is_session, logs_config
 from sim_replay.logs.session_parts import JoinedSession
 from sim_replay.replay import replay
-from sim_replay.results_folder import is_replayed, summary_of
+from sim_replay.results_folder import is_replayed, named_path, summary_of
 
 MISSIONS: Final = "missions"
 """Folder with the results of every log."""
@@ -126,5 +126,5 @@ def _has_grown(task: MissionTask) -> bool:
     """Check whether a session went on since its results were made, into files that they do not name."""
     if not is_session(task.log.path):
         return False
-    made_of = {entry["path"] for entry in (summary_of(task.folder) or {}).get("logs", ())}
+    made_of = {str(named_path(entry)) for entry in (summary_of(task.folder) or {}).get("logs", ())}
     return made_of != set(map(str, JoinedSession(task.log.path).sizes_bytes))

@@ -20,7 +20,9 @@ import pytest
 from auv_mcm.clean_text import is_clean
 from auv_mcm.cli import main
 from auv_mcm.records import EchoTrace, NavSample, Ping
+from auv_mcm.settings.config import Config
 from sim_replay.logs.xtf_writer import SampleType, write_xtf
+from sim_replay.results_folder import default_results, is_replayed
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene import Lawnmower, Scene, SceneObject, Sonar, Track
 from tests.sim_replay.logs.xtf_logs import edit_headers
@@ -186,6 +188,16 @@ def test_a_hostile_file_name_reaches_neither_console_nor_page_raw(
         assert [line for line in text.split("\n") if not is_clean(line)] == []
         assert "<script>\\u202e" not in text or name == "summary.json"
     assert r"a\x1b[2J\nnotice" in (folder / "report.html").read_text("utf-8")
+
+
+def test_a_log_whose_name_is_no_utf8_is_found_from_its_results(tmp_path: Path) -> None:
+    (old := tmp_path / "old").mkdir()
+    log = log_of(old / "l\udce9g.xtf", mission())
+    summary = replayed(log, old / "out")
+    assert is_replayed(old / "out", msgspec.convert(summary["config"], Config))
+    assert default_results([log], old) == old / "l\udce9g-results"
+    old.rename(new := tmp_path / "new")
+    assert main(["export", str(new / "out"), "--geotiff", str(tmp_path / "mosaic.tif")]) == 0
 
 
 def test_a_directory_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
