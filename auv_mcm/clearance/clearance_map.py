@@ -37,7 +37,7 @@ class LookModel(Protocol):
     """State what a view is worth.
 
     same_look_correlation, other_look_correlation: the part of a further view that adds nothing new, from within 15
-    degrees of an earlier one and from elsewhere, 0 to 1.
+    degrees of an earlier one and from elsewhere, 0 to 1. Maps go by them, plans by MIN_ALIKE for the former.
     """
 
     @property

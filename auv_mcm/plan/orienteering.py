@@ -35,9 +35,10 @@ _SWEEPS: Final = 10  # over all legs, at most; it ends earlier when none moves
 EXACT_LEGS: Final = 9  # up to which every order is tried; bounds time, 9 legs each either way
 _OVERFULL: Final = 1.25  # of the budget, chosen by rough ways; exact ways then drop the excess
 MIN_ALIKE: Final = 0.7
-"""Minimum share of a repeated view from one direction that adds nothing new.
+"""Minimum share of a repeated view from one direction that adds nothing new, as plans expect it; chosen.
 
-Tables hold little about such pairs, and what hides from one side may show from another.
+Maps credit views that were flown by the tables alone, where 0.27 adds nothing new. Tables hold little about such pairs,
+and what hides from one side may show from another: plans take legs from there where the tables see no difference.
 """
 _MIN_CUT_M: Final = 2.0  # m that have to be saved: less is not worth a new request
 _MADE_GOOD: Final = 0.1  # of all gains: what moving the others can recover of a leg that is left out
