@@ -182,14 +182,36 @@ def _run(arguments: argparse.Namespace) -> int:
         _write_vectors(source, arguments, name)
     if any(path is not None for path in chips):
         _write_chips(source, arguments, name)
+    left: list[Path] = []
     if arguments.geotiff is not None or arguments.kmz is not None:
-        wanted[:1] = _write_mosaic(source, arguments, name) or wanted[:1]
+        written = _write_mosaic(source, arguments, name)
+        wanted[:1] = written or wanted[:1]
+        left = _left_over(arguments.geotiff, len(written)) if arguments.per_leg else []
     if arguments.qgis is not None:
         wanted.append(arguments.qgis)
     if arguments.mcap is not None:
         _write_mcap(source, arguments.mcap)
-    answer({"written": wanted}, [f"written: {path}" for path in wanted], as_json=arguments.json)
+    notices = [
+        f"{path} was there before and is no leg of this export: remove it unless it is your own" for path in left
+    ]
+    answer(
+        {"written": wanted, **({"notices": notices} if notices else {})},
+        [*(f"written: {path}" for path in wanted), *(f"notice: {text}" for text in notices)],
+        as_json=arguments.json,
+    )
     return 0
+
+
+def _leg_path(path: Path, number: int) -> Path:
+    return path.with_name(f"{path.stem}-{number}{path.suffix}")
+
+
+def _left_over(path: Path, n_legs: int) -> list[Path]:
+    """List files that are named as further legs would be: an earlier export had more."""
+    left: list[Path] = []
+    while (further := _leg_path(path, n_legs + len(left) + 1)).exists():
+        left.append(further)
+    return left
 
 
 def _check_target(path: Path, *, is_folder: bool = False) -> None:
@@ -272,7 +294,7 @@ def _write_mosaic(source: ExportSource, arguments: argparse.Namespace, name: str
         for number, levels in enumerate(legs, 1):
             path = arguments.geotiff
             if arguments.per_leg:
-                path = path.with_name(f"{path.stem}-{number}{path.suffix}")
+                path = _leg_path(path, number)
             _check_apart([path], source)
             write_geotiff(path, levels, arguments.max_sigma, arguments.palette)
             written.append(path)

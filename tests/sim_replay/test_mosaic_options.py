@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import itertools
+import json
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -183,6 +185,26 @@ def test_a_gain_over_range_and_angle_goes_and_the_floors_stay_apart() -> None:
     assert np.std(first) < 0.5
     assert np.abs(first - first.mean()).max() < 1.0
     assert second - first == pytest.approx(np.full(n_columns, 6.0), abs=0.5)
+
+
+def test_legs_of_an_earlier_export_with_more_of_them_are_named_and_stay(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene = Scene(
+        seed=1,
+        sonar=Sonar(range_m=12.0, ping_rate_hz=10.0, beam_lines=1),
+        track=Track(plan=Lawnmower(n_legs=1, leg_m=14.0, spacing_m=20.0), altitude_m=3.0),
+    )
+    write_xtf(tmp_path / "log.xtf", Mission(scene).events())
+    words = ["export", str(tmp_path / "log.xtf"), "--geotiff", str(tmp_path / "m.tif"), "--per-leg", "--resolution=1"]
+    assert main(words) == 0
+    assert "notice" not in capsys.readouterr().out
+    (tmp_path / "m-2.tif").write_bytes(b"of before")
+    assert main(words) == 0
+    assert re.search(r"notice: .*m-2\.tif was there before", capsys.readouterr().out)
+    assert main([*words, "--json"]) == 0
+    assert [str(tmp_path / "m-2.tif") in text for text in json.loads(capsys.readouterr().out)["notices"]] == [True]
+    assert (tmp_path / "m-2.tif").read_bytes() == b"of before"
 
 
 def test_legs_on_both_sides_of_a_utm_zone_are_in_one(tmp_path: Path) -> None:
