@@ -147,7 +147,7 @@ export function waterfallView(ground, slant, bottom, handlers) {
       const along = contact.row * grid.row_m;
       if (along < low.along || along > high.along || contact.across < low.across || contact.across > high.across) continue;
       const isSelected = selected === contact.key;
-      if (busy && !isSelected && !contact.likely && !contact.call) continue;
+      if (busy && !isSelected && !contact.likely && !contact.called && !contact.call) continue;
       const x = toX(contact.across, width), y = toY(along, height);
       const half = Math.max(7, 1.6 * view.scale);
       context.strokeStyle = "#000a";
@@ -158,7 +158,7 @@ export function waterfallView(ground, slant, bottom, handlers) {
       context.setLineDash(contact.drawn ? [5, 3] : []);
       context.strokeRect(x - half, y - half, 2 * half, 2 * half);
       context.setLineDash([]);
-      if (isSelected || (contact.likely && view.scale > 1.5)) {
+      if (isSelected || ((contact.likely || contact.called) && view.scale > 1.5)) {
         const text = contact.call ? `${contact.id} ${contact.call === "mine_like" ? "✔" : contact.call === "undecided" ? "?" : "✘"}` : contact.id;
         context.lineWidth = 3;
         context.strokeStyle = "#000c";

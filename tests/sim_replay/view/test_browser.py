@@ -237,6 +237,23 @@ def test_a_contact_whose_pings_are_not_made_yet_says_so_and_is_jumped_to_when_th
     assert read_verdicts(folder) == ()
 
 
+def test_from_afar_a_called_contact_is_marked_among_many_however_low_its_p_mine(tmp_path: Path) -> None:
+    called = feature(1, 100.0, 10.0, p_mine=0.1)
+    others = [feature(number, 400.0, -10.0, p_mine=0.1, called=False) for number in range(2, 403)]
+    marked = (
+        "(() => {{const c = document.querySelector('#waterfall-marks'), b = c.getBoundingClientRect(),"
+        " at = bench.screenOf({}, {}); return c.getContext('2d')"
+        ".getImageData(at.x - b.left - 9, at.y - b.top - 9, 18, 18).data.some((value) => value > 0)}})()"
+    )
+
+    async def visit(page: BrowserPage) -> None:
+        await page.evaluate("bench.view.scale = 3, bench.redraw(), 0")
+        await page.wait_for(marked.format(100.0, 10.0))
+        assert not await page.evaluate(marked.format(400.0, -10.0))
+
+    in_browser(shown(write_results(tmp_path, [called, *others]), sea_floor()), visit)
+
+
 def test_what_was_drawn_has_the_time_it_was_judged_at(tmp_path: Path) -> None:
     mission = shown(write_results(tmp_path, [feature(1, OBJECT_ROW, OBJECT_M)]), sea_floor())
 
