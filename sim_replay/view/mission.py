@@ -107,17 +107,19 @@ class ShownMission:
         is_live: bool,
         replay: BackgroundReplay | None = None,
         again: Callable[[], ReplayAgain] | None = None,
+        later: Callable[[], MissionFeed] | None = None,
     ) -> None:
         """folder: of the results or session. by: who judges. is_live: it may still grow. replay: looks for contacts.
 
-        again: prepares another replay into the folder, None where that is not what the folder is for.
+        again: prepares another replay into the folder, None where that is not what the folder is for. later: makes the
+        waterfall once a replay that still writes the folder has ended.
         """
         self.replay = replay
         self.folder = folder
         self.feed = feed
         self.generation = 0
         """Counts replays that were asked for at the page: what was shown before is outdated."""
-        self._again = again
+        self._again, self._later = again, later
         self._by = clean(by)
         self._is_live = is_live
         self._contacts = ContactFile(folder)
@@ -144,6 +146,11 @@ class ShownMission:
             self._overview_version = self._contacts.version
         if self.summary is None:
             self.summary = read_summary(self.folder)
+        if self._later is not None and self.summary is not None and self.feed.is_done:
+            self.feed.close()
+            self.feed, self._later = self._later(), None
+            self.feed.start()
+            self.generation += 1
 
     def _find_structures(self) -> None:
         members = [
@@ -165,9 +172,8 @@ class ShownMission:
     def state(self) -> dict[str, Any]:
         """Describe how far everything is; small, for it is asked for again and again."""
         store = self.store
-        config = self.feed.config
         return {
-            "name": clean(config.mission or self.folder.resolve().name.removesuffix(RESULTS_SUFFIX)),
+            "name": clean(self.feed.config.mission or self.folder.resolve().name.removesuffix(RESULTS_SUFFIX)),
             "live": self._is_live and self.summary is None,
             "fraction": round(self.feed.fraction_done, 4),
             "done": self.feed.is_done,
@@ -234,12 +240,11 @@ class ShownMission:
         place = overview(feature)
         views = feature["properties"].get("views") or []
         seen = [place.seen._replace(time_s=time_s(view.get("time")), side=str(view.get("side"))) for view in views]
-        depth_m = self._depth_m(place)
         return _finite(
             {
                 **feature["properties"],
                 "coordinates": (feature.get("geometry") or {}).get("coordinates"),
-                "depth_m": depth_m,
+                "depth_m": self._depth_m(place),
                 "said": msgspec.structs.asdict(place.said),
                 "view_rows": self.store.rows_at(seen),
                 "history": [msgspec.to_builtins(verdict) for verdict in verdicts],
@@ -367,10 +372,8 @@ class ShownMission:
         if not points:
             return {"row": [], "corners": []}
         places = self.place(points)
-        lost = places.stale
-        corners = np.column_stack(
-            [np.where(lost, np.nan, places.longitude_deg), np.where(lost, np.nan, places.latitude_deg)]
-        )
+        corners = np.column_stack([places.longitude_deg, places.latitude_deg])
+        corners[places.stale] = np.nan
         return _finite({"row": rows.astype(int).tolist(), "corners": corners.round(8).reshape(-1, 3, 2).tolist()})
 
     def layers(self) -> dict[str, Any]:

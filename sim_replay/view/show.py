@@ -141,8 +141,7 @@ def open_shown(folder: Path, logs: list[Path], config: Config | None, by: str) -
     elif is_live:
         opens = partial(follow_session, folder, config)
     else:
-        known = summary or {}
-        opens = lambda stop: open_logs(named_logs(known, folder), config or summary_config(known, folder))  # noqa: E731
+        opens = lambda stop: _open_replayed(folder, config)  # noqa: E731
 
     def again() -> ReplayAgain:
         assert summary is not None
@@ -150,7 +149,15 @@ def open_shown(folder: Path, logs: list[Path], config: Config | None, by: str) -
         return ReplayAgain(_feed(opens), BackgroundReplay(logs or named_logs(summary, folder), folder, used))
 
     is_whole = summary is not None and not recordings
-    mission = ShownMission(folder, _feed(opens), by=by, is_live=is_live, again=again if is_whole else None)
+    is_early = summary is None and not recordings and not logs
+    mission = ShownMission(
+        folder,
+        _feed(opens),
+        by=by,
+        is_live=is_live,
+        again=again if is_whole else None,
+        later=(lambda: _feed(lambda stop: _open_replayed(folder, config))) if is_early else None,
+    )
     mission.refresh()
     mission.feed.start()
     return mission
@@ -217,6 +224,17 @@ def open_new(logs: list[Path], config: Config | None, by: str) -> ShownMission:
     mission = ShownMission(folder, feed, by=by, is_live=False, replay=found, again=again)
     feed.start()
     return mission
+
+
+def _open_replayed(folder: Path, config: Config | None) -> OpenedMission:
+    """Open the logs that results name. Raises BadInputError, also where no replay has ended."""
+    summary = read_summary(folder)
+    if summary is None:
+        raise BadInputError(
+            "there is no waterfall yet: no replay has ended here, so the results name no log. It is shown once one "
+            "ends; if none runs, replay the log again, or name it with --log."
+        )
+    return open_logs(named_logs(summary, folder), config or summary_config(summary, folder))
 
 
 def _feed(opens: Opens) -> MissionFeed:

@@ -13,11 +13,13 @@ import pytest
 from auv_mcm.contacts.export import iso_time
 from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.records import SIDES
+from sim_replay.replay import replay
 from sim_replay.verdicts import VERDICTS_FILE, newest_verdicts, read_verdicts
 from sim_replay.view.mission import Judgement
 from sim_replay.view.places import WaterfallPoint
 from sim_replay.view.show import named_logs, open_shown
 from sim_replay.view.waterfall_store import WaterfallStore
+from tests.sim_replay.augment.plain_logs import CONFIG, N_PINGS, written
 from tests.sim_replay.view.shown_missions import feature, filled_store, poses, position, shown, tile, write_results
 
 
@@ -192,6 +194,26 @@ def test_results_of_a_replay_that_did_not_end_are_not_waited_for_as_a_session(tm
     assert (state["live"], state["done"], state["replay_again"]) == (False, True, False)
     assert "the results name no log" in state["problem"]
     assert mission.contacts()["id"] == ["C00001"]
+    mission.feed.close()
+
+
+@pytest.mark.parametrize("journal", [False, True])
+def test_a_page_opened_during_a_replay_shows_the_waterfall_once_it_has_ended(tmp_path: Path, journal: bool) -> None:
+    log, folder = written(tmp_path / "log.xtf"), write_results(tmp_path / "results", [feature(1)])
+    if journal:  # as a page that replays the log writes it
+        (folder / "contacts.geojson").unlink()
+        (folder / "contacts.jsonl").write_text("")
+    mission = open_shown(folder, [], None, "kim")
+    if not journal:
+        mission.feed.join()
+        assert "It is shown once one ends" in mission.state()["problem"]
+    replay([log], folder, CONFIG)
+    mission.feed.join()
+    mission.refresh()
+    mission.feed.join()
+    state = mission.state()
+    assert (state["problem"], state["pings"], state["generation"]) == ("", N_PINGS, 1)
+    assert state["stop_row"] > 0
     mission.feed.close()
 
 
