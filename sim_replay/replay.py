@@ -39,7 +39,7 @@ from sim_replay.mosaic import Mosaic
 from sim_replay.report import MissionRecord, PictureCollector, Shown, write_report
 from sim_replay.report.map_picture import MAX_BLOCKS, RESOLUTION_M, map_picture
 from sim_replay.report.report_file import REPORT, report_contents, write_contents
-from sim_replay.results_folder import log_entry
+from sim_replay.results_folder import kept_alone, log_entry
 from sim_replay.verdicts import Verdict, read_verdicts
 
 MAX_TRACK_POINTS: Final = 4000  # of the track in the report: bounds the page
@@ -66,12 +66,11 @@ def replay(
     progress: Progress = lambda fraction: None,
     verdicts: Path | None = None,
     found: Callable[[Contact], None] = lambda contact: None,
+    waits: bool = False,
 ) -> dict[str, Any]:
     """Replay `logs`, or a recorded session of ports, as one mission and write every result into `folder`.
 
-    Results of an earlier replay are replaced.
-
-    Returns what summary.json holds.
+    Results of an earlier replay are replaced. Returns what summary.json holds.
 
     Parameters
     ----------
@@ -85,11 +84,13 @@ def replay(
         Folder with what people judged, which the report shows; None for that of the results.
     found
         Called with each contact as it is found, and again as it changes.
+    waits
+        For another replay that writes to the folder, instead of raising UsageError.
 
     Raises
     ------
     UsageError
-        For a folder that cannot be written to, BadInputError if there is nothing to replay or a verdict is damaged.
+        For a folder that cannot be written to or is in use, BadInputError for logs or verdicts that cannot be read.
     """
     clock = clock or SystemClock()
     judged = read_verdicts(verdicts or folder)
@@ -98,18 +99,19 @@ def replay(
     pipeline = Pipeline(config, without_skips=without_skips, threads=threads, timer=clock.monotonic_s)
     replaying = _Replaying(mission, pipeline, config, found)  # reads tables: what is refused leaves no folder
     make_results_directory(folder)
-    # written last: its presence says that the other files belong together
-    (folder / "summary.json").unlink(missing_ok=True)
-    replaying.run(Pace(speed, clock), clock, progress)
-    summary = replaying.write(folder, judged) | {
-        "peak_memory_mb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0, 1),
-        "kernels": kernels.backend(),
-        "threads": threads,
-        "exhaustive": without_skips == ALL_SKIPS,
-        "without_skips": sorted(without_skips),
-        "config": msgspec.to_builtins(config),
-    }
-    write_json(folder / "summary.json", summary)
+    with kept_alone(folder, waits=waits):
+        # written last: its presence says that the other files belong together
+        (folder / "summary.json").unlink(missing_ok=True)
+        replaying.run(Pace(speed, clock), clock, progress)
+        summary = replaying.write(folder, judged) | {
+            "peak_memory_mb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0, 1),
+            "kernels": kernels.backend(),
+            "threads": threads,
+            "exhaustive": without_skips == ALL_SKIPS,
+            "without_skips": sorted(without_skips),
+            "config": msgspec.to_builtins(config),
+        }
+        write_json(folder / "summary.json", summary)
     return summary
 
 

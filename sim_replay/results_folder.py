@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final
 from urllib.parse import unquote_to_bytes
@@ -12,7 +14,7 @@ from urllib.parse import unquote_to_bytes
 import msgspec
 
 from auv_mcm import __version__
-from auv_mcm.errors import AuvMcmError, BadInputError
+from auv_mcm.errors import AuvMcmError, BadInputError, UsageError
 from auv_mcm.safe_files import read_regular
 from auv_mcm.settings.config import Config
 from auv_mcm.shell.recovery import RECORDING, SUMMARY
@@ -38,6 +40,26 @@ def default_results(logs: Sequence[Path], parent: Path = Path()) -> Path:
         if _may_be_taken(folder, logs):
             return folder
         number += 1
+
+
+@contextmanager
+def kept_alone(folder: Path, *, waits: bool = False) -> Iterator[None]:
+    """Keep other replays out of a folder of results while one writes it.
+
+    waits: until another has ended. Raises UsageError otherwise.
+    """
+    held = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        with suppress(OSError):  # of a file system without locks
+            try:
+                fcntl.flock(held, fcntl.LOCK_EX if waits else fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError as error:
+                raise UsageError(
+                    f"another replay writes to {folder}. Wait for it, stop it, or name another folder."
+                ) from error
+        yield
+    finally:
+        os.close(held)
 
 
 def log_entry(path: Path, n_bytes: int, folder: Path) -> dict[str, Any]:

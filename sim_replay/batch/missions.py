@@ -111,7 +111,7 @@ def replay_mission(task: MissionTask) -> MissionOutcome:
         recorded = logs_config([task.log.path]) if task.config is None else None
         config = task.config or recorded or read_config(None)
         if not is_replayed(task.folder, config) or _has_grown(task):
-            replay([task.log.path], task.folder, config)
+            replay([task.log.path], task.folder, config, waits=True)  # for what a run that was killed left behind
     except AuvMcmError as error:
         return MissionOutcome(task.log, task.folder, str(error), error.exit_code)
     except OSError as error:

@@ -159,6 +159,20 @@ def test_replaying_again_replaces_results_and_leaves_other_files_alone(
     assert (tmp_path / "notes.txt").read_bytes() == b"mine"
 
 
+def test_a_folder_that_a_replay_writes_to_is_refused_to_another(logs: tuple[Path, Path], tmp_path: Path) -> None:
+    refused: list[object] = []
+
+    def meanwhile(done: float) -> None:
+        if not refused:
+            with pytest.raises(UsageError, match="another replay writes to") as error:
+                replay(logs[1:], tmp_path / "out", Config())
+            refused.append(error)
+
+    replay(logs[:1], tmp_path / "out", Config(), progress=meanwhile)
+    assert refused
+    assert replay(logs[1:], tmp_path / "out", Config())["logs"][0]["path"] == str(logs[1])
+
+
 def test_an_interrupted_replay_leaves_no_summary_that_would_vouch_for_the_files(
     logs: tuple[Path, Path], tmp_path: Path
 ) -> None:

@@ -7,6 +7,7 @@ import json
 import os
 from collections.abc import Callable
 from pathlib import Path
+from threading import Thread
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,7 @@ from sim_replay.fitting.cascade.farm import Farm
 from sim_replay.logs.archive import ArchivedLog, logs_of
 from sim_replay.logs.xtf_writer import write_xtf
 from sim_replay.replay import replay
-from sim_replay.results_folder import is_replayed
+from sim_replay.results_folder import is_replayed, kept_alone
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene import Lawnmower, Scene, SceneObject, Sonar, Track
 from tests.dask_cluster import dask_cluster
@@ -77,6 +78,18 @@ def tasks_of(archive: Path, out: Path) -> list[MissionTask]:
 def features(out: Path, kind: str) -> list[dict[str, Any]]:
     found = json.loads((out / "index.geojson").read_bytes())["features"]
     return [one["properties"] for one in found if one["properties"]["kind"] == kind]
+
+
+def test_what_a_killed_run_left_at_work_is_waited_for(archive: Path, tmp_path: Path) -> None:
+    task = tasks_of(archive, tmp_path)[0]
+    outcomes: list[MissionOutcome] = []
+    task.folder.mkdir(parents=True)
+    with kept_alone(task.folder):
+        run = Thread(target=lambda: outcomes.append(batch_missions.replay_mission(task)))
+        run.start()
+        run.join(1.0)  # where it does not wait, it has failed by then
+    run.join()
+    assert [outcome.failure for outcome in outcomes] == [""]
 
 
 def test_a_log_has_the_bytes_of_a_replay_by_itself(archive: Path, undisturbed: Path, tmp_path: Path) -> None:
@@ -201,7 +214,7 @@ def test_a_log_that_kills_its_process_fails_and_the_others_are_replayed(
 def test_a_defect_in_one_log_is_reported_as_such(
     archive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def fail(*_: object) -> None:
+    def fail(*_: object, **__: object) -> None:
         raise ZeroDivisionError("of a test")
 
     monkeypatch.setattr(batch_missions, "replay", fail)
@@ -211,7 +224,7 @@ def test_a_defect_in_one_log_is_reported_as_such(
 
 
 def test_a_full_disk_is_no_defect(archive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(*_: object) -> None:
+    def fail(*_: object, **__: object) -> None:
         raise OSError(28, "No space left on device", "contacts.csv")
 
     monkeypatch.setattr(batch_missions, "replay", fail)
