@@ -16,6 +16,7 @@ from auv_mcm.clean_text import clean
 from auv_mcm.commands import read_config
 from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.settings.config import Config
+from auv_mcm.shell.journal import Journal
 from auv_mcm.shell.snippet_files import make_results_directory
 from sim_replay.logs.archive import logs_of
 from sim_replay.logs.open_log import is_session, logs_config
@@ -131,7 +132,7 @@ def open_shown(folder: Path, logs: list[Path], config: Config | None, by: str) -
             "or give --live to wait for a session."
         )
     summary = read_summary(folder)
-    is_live = summary is None and (bool(recordings) or (folder / JOURNAL).exists())  # else its replay did not end
+    is_live = summary is None and (bool(recordings) or _is_written(folder / JOURNAL))  # else its replay did not end
     opens: Opens
     if logs:
         used = config or (summary_config(summary, folder) if summary else Config())
@@ -161,6 +162,10 @@ def open_shown(folder: Path, logs: list[Path], config: Config | None, by: str) -
     mission.refresh()
     mission.feed.start()
     return mission
+
+
+def _is_written(journal: Path) -> bool:
+    return journal.exists() and Journal.is_in_use(journal)
 
 
 def is_shown(folder: Path) -> bool:

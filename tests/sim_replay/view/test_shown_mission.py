@@ -200,13 +200,13 @@ def test_results_of_a_replay_that_did_not_end_are_not_waited_for_as_a_session(tm
 @pytest.mark.parametrize("journal", [False, True])
 def test_a_page_opened_during_a_replay_shows_the_waterfall_once_it_has_ended(tmp_path: Path, journal: bool) -> None:
     log, folder = written(tmp_path / "log.xtf"), write_results(tmp_path / "results", [feature(1)])
-    if journal:  # as a page that replays the log writes it
+    if journal:  # as a page leaves it that was closed before its replay had ended
         (folder / "contacts.geojson").unlink()
         (folder / "contacts.jsonl").write_text("")
     mission = open_shown(folder, [], None, "kim")
-    if not journal:
-        mission.feed.join()
-        assert "It is shown once one ends" in mission.state()["problem"]
+    mission.feed.join()
+    assert not mission.state()["live"]
+    assert "It is shown once one ends" in mission.state()["problem"]
     replay([log], folder, CONFIG)
     mission.feed.join()
     mission.refresh()
