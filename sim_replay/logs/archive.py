@@ -51,19 +51,35 @@ def logs_of(source: Path, out: Path) -> list[ArchivedLog]:
 
 def _below(folder: Path, out: Path) -> list[Path]:
     found: list[Path] = []
-    for parent, folders, files in os.walk(folder, onerror=_raise):
+    root, linked = folder.resolve(), set[Path]()
+    for parent, folders, files in os.walk(folder, onerror=_raise, followlinks=True):
         here = Path(parent)
         if here == folder and start_of(here) and is_session(here):
             return [here]
         parts = [part for part in recordings_of(here) if is_session(part)]
         found += parts[:1]  # the first start's stands for all
-        folders[:] = [name for name in folders if here / name not in parts and (here / name).resolve() != out]
+        folders[:] = [
+            name
+            for name in sorted(folders)
+            if here / name not in parts and (here / name).resolve() != out and _is_new(here / name, root, linked)
+        ]
         logs = [name for name in files if Path(name).suffix.lower() in LOG_SUFFIXES]
         sides = sorted((name for name in logs if name.upper() in _SIDES), key=str.upper)
         found += [here / name for name in logs if name in sides[:1] or not name.upper().endswith(".SON")]
         images = [here / name for name in files if Path(name).suffix.lower() in _IMAGE_SUFFIXES]
         found += [image for image in images if sidecar_path(image).name in files]
     return found
+
+
+def _is_new(folder: Path, root: Path, linked: set[Path]) -> bool:
+    """Decide whether to go into a folder: a link counts once, and not where it leads to what is gone through anyway."""
+    place = folder.resolve()
+    if not folder.is_symlink():
+        return True
+    if place in (root, *root.parents) or {root, *linked} & {place, *place.parents}:
+        return False
+    linked.add(place)
+    return True
 
 
 def _raise(error: OSError) -> None:

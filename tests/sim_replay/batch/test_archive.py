@@ -29,6 +29,19 @@ def test_results_in_the_archive_itself_are_no_logs(tmp_path: Path) -> None:
     assert [log.name for log in logs_of(tmp_path, tmp_path / "out")] == ["line.xtf"]
 
 
+def test_folders_that_are_links_are_gone_through_once(tmp_path: Path) -> None:
+    archive, disk = tmp_path / "archive", tmp_path / "disk"
+    for folder in (archive / "day1", disk / "deep"):
+        folder.mkdir(parents=True)
+    (archive / "day1" / "a.xtf").touch()
+    (disk / "deep" / "b.xtf").touch()
+    (archive / "day2").symlink_to(disk)
+    for link, target in (("again", disk), ("latest", archive / "day1"), ("up", tmp_path), ("deep", disk / "deep")):
+        (archive / f"x-{link}").symlink_to(target)
+    (disk / "back").symlink_to(archive)
+    assert [log.name for log in logs_of(archive, tmp_path / "out")] == ["day1/a.xtf", "day2/deep/b.xtf"]
+
+
 def test_a_list_names_logs_from_its_own_folder_whatever_their_suffix(tmp_path: Path) -> None:
     touch(tmp_path / "day1" / "line")
     listed = tmp_path / "lists" / "all.txt"
