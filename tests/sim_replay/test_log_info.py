@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,8 @@ from auv_mcm.cli import main
 from auv_mcm.settings.config import Config
 from sim_replay.log_info import describe
 from sim_replay.logs.xtf_writer import write_xtf
+from sim_replay.simulator.mission import Mission
+from sim_replay.simulator.scene import Lawnmower, Scene, Sonar, Track
 from sim_replay.wire_logs import write_jsf, write_session, write_svlog
 from tests.sim_replay.logs.sonar_logs import mission, run_of
 from tests.sim_replay.logs.xtf_logs import edit_headers
@@ -47,6 +50,14 @@ def test_the_numbers_are_those_of_the_mission(xtf: Path, capsys: pytest.CaptureF
     assert info["altitude"]["stated_m"] == pytest.approx(5.0, abs=0.5)
     assert info["altitude"]["first_return_m"] == pytest.approx(5.0, abs=0.5)
     assert info["used"] == {"pings": 212, "pings_with_position": 212}
+
+
+def test_a_clock_in_steps_of_10_ms_does_not_change_the_rate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene = Scene(sonar=Sonar(range_m=12.0, ping_rate_hz=12.0, beam_lines=1), track=Track(plan=Lawnmower(n_legs=1)))
+    write_xtf(tmp_path / "log.xtf", islice(Mission(scene).events(), 200))
+    (info,) = info_of(capsys, str(tmp_path / "log.xtf"))["logs"]
+    assert info["pings"]["rate_per_s"] == pytest.approx(12.0, rel=0.01)
+    assert info["navigation"]["quantities"]["position"]["rate_per_s"] == pytest.approx(12.0, rel=0.01)
 
 
 @pytest.mark.parametrize("kind", ["jsf", "svlog", "session", "folder of a session"])
