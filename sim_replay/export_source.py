@@ -27,8 +27,9 @@ from sim_replay.results_folder import named_path, resolved_log
 from sim_replay.verdicts import VERDICTS_FILE
 
 CONTACTS: Final = "contacts.geojson"
+TRACK: Final = "track.geojson"
 _KEPT: Final = {
-    *(CONTACTS, "track.geojson", "coverage.geojson", "clearance.geojson", "waypoints.geojson", SUMMARY),
+    *(CONTACTS, TRACK, "coverage.geojson", "clearance.geojson", "waypoints.geojson", SUMMARY),
     *(REPORT_CONTENTS, VERDICTS_FILE, JOURNAL, EARLY_JOURNAL),
 }
 

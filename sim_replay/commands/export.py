@@ -156,7 +156,7 @@ def _metres(low_m: float, high_m: float = math.inf) -> Callable[[str], float]:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from sim_replay.export_source import find_source
+    from sim_replay.export_source import TRACK, find_source
 
     if arguments.qgis is not None:
         _check_target(arguments.qgis)
@@ -194,6 +194,11 @@ def _run(arguments: argparse.Namespace) -> int:
     notices = [
         f"{path} was there before and is no leg of this export: remove it unless it is your own" for path in left
     ]
+    if (arguments.gpkg or arguments.gpx) and source.results is not None and not (source.results / TRACK).is_file():
+        notices.append(
+            f"the track is not in it, as {source.results} holds none. Of a session, 'auv-mcm report' makes results "
+            "with a track, which can be exported."
+        )
     answer(
         {"written": wanted, **({"notices": notices} if notices else {})},
         [*(f"written: {path}" for path in wanted), *(f"notice: {text}" for text in notices)],

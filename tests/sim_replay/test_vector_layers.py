@@ -97,6 +97,18 @@ def test_no_export_overwrites_a_log_its_results_or_another_export(
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
 
 
+def test_a_track_that_the_results_lack_is_named(
+    results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = Path(shutil.copytree(results, tmp_path / "session"))
+    words = ["export", str(folder), "--gpx", str(tmp_path / "m.gpx")]
+    assert main(words) == 0
+    assert "notice" not in capsys.readouterr().out
+    (folder / "track.geojson").unlink()  # as a session has none
+    assert main(words) == 0
+    assert f"notice: the track is not in it, as {folder} holds none" in capsys.readouterr().out
+
+
 def test_gdal_reads_the_gpx_and_the_kml(results: Path, tmp_path: Path) -> None:
     assert main(["export", str(results), "--gpx", str(tmp_path / "m.gpx")]) == 0
     layers = gdal_layers(tmp_path / "m.gpx")
