@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from auv_mcm.clean_text import clean
+from auv_mcm.clean_text import clean, clean_lines
 from auv_mcm.commands import Commands, Progress, add_config_option, command, read_config
 from auv_mcm.commands.tables import show_table
 from auv_mcm.errors import AuvMcmError, BadInputError
@@ -111,7 +111,7 @@ def _mission_notices(paths: list[Path], config: Config) -> list[dict[str, str]]:
 def _show(info: dict[str, Any]) -> None:
     """Print one log."""
     if "error" in info:
-        print(f"{clean(info['path'])}\n  {clean(info['error'])}\n")
+        print(f"{clean(info['path'])}\n  {clean_lines(info['error'])}\n")
         return
     rows = [(name, clean(text)) for name, text in _rows(info)]
     title = clean(info["path"])

@@ -8,6 +8,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from auv_mcm.cli import main
@@ -50,6 +51,14 @@ def test_the_numbers_are_those_of_the_mission(xtf: Path, capsys: pytest.CaptureF
     assert info["altitude"]["stated_m"] == pytest.approx(5.0, abs=0.5)
     assert info["altitude"]["first_return_m"] == pytest.approx(5.0, abs=0.5)
     assert info["used"] == {"pings": 212, "pings_with_position": 212}
+
+
+def test_what_an_image_lacks_is_listed_a_line_each(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    np.save(tmp_path / "line.npy", np.ones((8, 8)))
+    assert main(["info", str(tmp_path / "line.npy")]) == 3
+    said = capsys.readouterr().out
+    assert "\n  side: the side that the sonar looks to" in said
+    assert "\\n" not in said
 
 
 def test_a_clock_in_steps_of_10_ms_does_not_change_the_rate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
