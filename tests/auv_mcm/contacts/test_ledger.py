@@ -46,8 +46,6 @@ def view(
 
 
 ALL_REPORTED = ContactsConfig(min_p_mine=0.0)
-
-
 ROW = [(10.0, 0.0), (10.0, 3.0), (10.2, 6.0)]
 
 
@@ -62,9 +60,6 @@ def place(contact: Contact | Detection, frame: LocalFrame = HOME) -> NDArray[np.
 def objects_in(contacts: tuple[Contact, ...]) -> list[set[float]]:
     """List the objects (known by their score) that each contact is made of."""
     return [{v.score for v in contact.views} for contact in contacts]
-
-
-# ---------------------------------------------------------------- association
 
 
 @pytest.mark.parametrize("offset_m", [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (-0.9, 0.9), (0.0, -1.4)])
@@ -282,9 +277,6 @@ def test_every_view_is_in_exactly_one_contact_and_no_passage_is_in_a_contact_twi
         assert contact.aspects_deg == tuple(v.aspect_deg for v in contact.views)
 
 
-# ---------------------------------------------------------------- fusion
-
-
 def two_views(frame: LocalFrame = HOME) -> tuple[Contact, Detection, Detection]:
     a = view(0.3, -0.2, 100.0, frame=frame, covariance_m2=np.array([[1.0, 0.4], [0.4, 2.0]]))
     b = view(-0.5, 0.6, 900.0, frame=frame, covariance_m2=np.array([[0.5, -0.2], [-0.2, 0.7]]), **SECOND_LEG)
@@ -486,9 +478,6 @@ def test_records_handed_out_before_do_not_change() -> None:
     assert again.id == first.id
     assert again is not first
     assert msgspec.structs.astuple(first) == copy
-
-
-# ---------------------------------------------------------------- what is reported
 
 
 def test_a_contact_is_reported_once_it_has_been_likely_enough_and_from_then_on() -> None:
