@@ -60,7 +60,9 @@ class LawWatch:
         self._blocks: deque[_Measured] = deque()  # of the newest _RECENT_BLOCKS those that were measured
         self._open: list[Ping] = []  # of the block being filled
         self._open_form: tuple[object, ...] = ()  # of its pings
-        self._n_pings = 0  # since the start, or since a hole in time
+        self._newest: Ping | None = None
+        self._n_given = 0  # pings since the start
+        self._n_pings = 0  # of them those that do not repeat the one before
         self._n_blocks = 0
         self._first_s = math.nan
         self._last_s = math.nan
@@ -77,7 +79,10 @@ class LawWatch:
         The first verdict always names a transfer; no ping can be read before.
         """
         self._note_time(ping)
-        self._collect(ping)
+        if self._newest is None or not _repeats(ping, self._newest):
+            self._n_pings += 1
+            self._collect(ping)
+        self._newest = ping
         if self._transfer is None:
             return self._decide(ping.transfer) if self._is_time_to_decide(ping) else None
         return self._check(ping.place) if self._n_blocks >= self._next_check else None
@@ -99,8 +104,8 @@ class LawWatch:
         if not math.isfinite(self._first_s):
             self._first_s = ping.time_s
         self._last_s = ping.time_s
-        self._step_s = step_s if math.isfinite(step_s) else self._step_s
-        self._n_pings += 1
+        self._step_s = step_s if 0.0 < step_s < math.inf else self._step_s
+        self._n_given += 1
 
     def _collect(self, ping: Ping) -> None:
         form = _form(ping)
@@ -129,7 +134,7 @@ class LawWatch:
         kind = ping.transfer if sonar.transfer == "auto" else sonar.transfer
         if kind is not None and (kind != "log" or sonar.db_per_count is not None):
             return True
-        if self._n_pings >= _MAX_PINGS:
+        if self._n_given >= _MAX_PINGS:
             return True
         if self._n_pings % BLOCK_PINGS or self._n_pings < _MIN_PINGS:
             return False
@@ -219,6 +224,15 @@ def law_of_pings(pings: Sequence[Ping], sonar: SonarConfig) -> SampleLaw:
 def _samples(trace: EchoTrace | None) -> NDArray[Any]:
     assert trace is not None  # all pings of a block have the same sides
     return trace.samples
+
+
+def _repeats(ping: Ping, before: Ping) -> bool:
+    """Check whether a ping holds the samples of the one before, as where it is sent twice: their speckle is one."""
+    pairs = (ping.port, before.port), (ping.starboard, before.starboard)
+    return all(
+        one is other or (one is not None and other is not None and np.array_equal(one.samples, other.samples))
+        for one, other in pairs
+    )
 
 
 def _form(ping: Ping) -> tuple[object, ...]:

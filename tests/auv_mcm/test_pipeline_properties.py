@@ -133,6 +133,13 @@ def test_swapping_port_and_starboard_mirrors_the_contacts() -> None:
     assert places(mirrored) == expected
 
 
+@pytest.mark.parametrize("n_times", [2, 3])
+def test_pings_sent_several_times_change_no_byte(n_times: int) -> None:
+    """Repeated speckle once passed for another law of samples, and a flat floor for a rough one."""
+    repeated = [again for event in mission() for again in [event] * (n_times if isinstance(event, Ping) else 1)]
+    assert contacts_geojson(run(repeated)[0].contacts) == contacts_geojson(reference())
+
+
 @pytest.mark.parametrize("tile_rows", [64, 97, 200, 333])
 def test_where_tiles_are_cut_changes_nothing(tile_rows: int) -> None:
     config = Config(waterfall=WaterfallConfig(tile_rows=tile_rows))
