@@ -61,6 +61,8 @@ class TraceChecker:
         self._counters = counters
         self._highest = 0
         self._previous: NDArray[Any] | None = None
+        self._layout: tuple[object, ...] = ()
+        self._n_filled = 0  # samples of this layout up to the last one that was ever another number than zero
         self._tables: dict[np.dtype[Any], NDArray[np.float32]] = {}  # intensity by count, per sample type
         self._rising: dict[np.dtype[Any], bool] = {}
 
@@ -77,7 +79,8 @@ class TraceChecker:
         """
         layout = traces[0].first_range_m, traces[0].spacing_m
         kind = traces[0].samples.dtype
-        if traces[0].samples.size and self._rises(kind) and all(trace.samples.dtype == kind for trace in traces):
+        is_whole = 0 < self._filled(traces) == traces[0].samples.size
+        if is_whole and self._rises(kind) and all(trace.samples.dtype == kind for trace in traces):
             samples, table = _stacked(traces), self._tables[kind]
             highest_count = samples.max(axis=1, initial=0)
             highest = table[highest_count]
@@ -92,6 +95,18 @@ class TraceChecker:
         checked = self.check_all(traces)
         return make_traces(checked.intensity, checked.valid, checked.saturated, *layout)
 
+    def _filled(self, traces: Sequence[EchoTrace]) -> int:
+        """Count the samples before the zeros that fill up every trace of this layout so far: no echo was measured."""
+        first = traces[0]
+        layout = first.first_range_m, first.spacing_m, first.samples.shape[0]
+        if layout != self._layout:
+            self._layout, self._n_filled = layout, 0
+        if self._n_filled < first.samples.shape[0]:
+            tails = np.stack([trace.samples[self._n_filled :] for trace in traces])
+            filled = np.flatnonzero((tails != 0).any(axis=0))
+            self._n_filled += int(filled[-1]) + 1 if filled.size else 0
+        return self._n_filled
+
     def _rises(self, kind: np.dtype[Any]) -> bool:
         """Check whether samples of a type are few enough to look up, and higher ones never stand for less."""
         if kind.kind != "u" or kind.itemsize > 2:
@@ -103,6 +118,7 @@ class TraceChecker:
 
     def check_all(self, traces: Sequence[EchoTrace]) -> CheckedTrace:
         """Check several traces of one layout, which follow each other; arrays (n_traces, n_samples)."""
+        n_filled = self._filled(traces)
         if len({trace.samples.dtype for trace in traces}) > 1:
             apart = [self.check(trace) for trace in traces]
             intensities, valids, saturateds = zip(*apart, strict=True)
@@ -112,6 +128,7 @@ class TraceChecker:
         n_bad = samples.size - int(np.count_nonzero(valid))
         if n_bad:
             self._counters["quality.sample_not_finite_or_negative"] += n_bad
+        intensity[:, n_filled:], valid[:, n_filled:] = 0.0, False
         highest = intensity.max(axis=1, initial=0.0)
         some = intensity[:, :: max(intensity.shape[1] // _SOME, 1)]
         for ping in np.flatnonzero(_may_be_absurd(some, highest)).tolist():

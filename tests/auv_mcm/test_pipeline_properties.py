@@ -133,6 +133,16 @@ def test_swapping_port_and_starboard_mirrors_the_contacts() -> None:
     assert places(mirrored) == expected
 
 
+def test_zeros_that_fill_up_traces_change_nothing() -> None:
+    """As of recorders that keep the number of samples at a shorter range: their edge once passed for objects."""
+    filled, events = run(with_samples(lambda samples: np.append(samples, np.zeros(200, dtype=samples.dtype))))
+    assert_same(filled.contacts, reference())
+    patches = [event for event in events if isinstance(event, CoveragePatch)]
+    whole = [event for event in referred()[1] if isinstance(event, CoveragePatch)]
+    assert [patch.covered_m2 for patch in patches] == pytest.approx([patch.covered_m2 for patch in whole], rel=1e-3)
+    assert filled.counters["detect.candidate"] == referred()[0].counters["detect.candidate"]
+
+
 @pytest.mark.parametrize("n_times", [2, 3])
 def test_pings_sent_several_times_change_no_byte(n_times: int) -> None:
     """Repeated speckle once passed for another law of samples, and a flat floor for a rough one."""

@@ -209,6 +209,21 @@ def test_traces_together_are_checked_as_one_by_one(dtype: type) -> None:
     assert counters["quality.port_stuck"] >= 4
 
 
+@pytest.mark.parametrize("dtype", [np.uint8, np.float32])
+def test_zeros_are_no_echo_where_no_trace_ever_held_one(dtype: type) -> None:
+    """What is dark later, behind an object, stays a shadow; another layout starts anew."""
+
+    def trace(samples: NDArray[Any], spacing_m: float = SPACING_M) -> EchoTrace:
+        return EchoTrace(samples=samples.astype(dtype), first_range_m=0.1, spacing_m=spacing_m)
+
+    filled = [np.append(rayleigh(seed, 60.0).clip(1, 200), np.zeros(100)) for seed in range(3)]
+    dark, elsewhere = (np.where(np.arange(900) < 600, samples, 0.0) for samples in filled[:2])
+    blocks = [(list(map(trace, filled)), 800), ([trace(dark)], 800), ([trace(elsewhere, 2.0 * SPACING_M)], 600)]
+    checker = TraceChecker("port", AMPLITUDE, None, Counter())
+    for block, n_measured in blocks:
+        assert checker.check_all(block).valid.sum(axis=1).tolist() == [n_measured] * len(block)
+
+
 @given(
     seed=st.integers(0, 2**32 - 1),
     kind=st.sampled_from([np.uint8, np.uint16, np.int16, np.uint32, np.float32]),
