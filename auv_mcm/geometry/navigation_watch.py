@@ -42,6 +42,7 @@ _STEP_S: Final = 10.0  # s: of the way made while time leapt, as between two fix
 class _Moment(NamedTuple):
     fix: Fix
     speed_mps: float
+    heading_rad: float
 
 
 def _scattered_course(courses_rad: Sequence[float]) -> list[Notice]:
@@ -174,7 +175,7 @@ class NavigationWatch:
         return [Notice(code="navigation.position_frozen", text=text)]
 
     def _check_leap(self, fix: Fix) -> list[Notice]:
-        last, self._last = self._last, _Moment(fix, self._speed_mps)
+        last, self._last = self._last, _Moment(fix, self._speed_mps, self._heading_rad)
         before, self._before_leap = self._before_leap, None
         if last is None:
             return []
@@ -189,6 +190,8 @@ class NavigationWatch:
             return []
         if chord_m(before.fix, last.fix) > _STEP_S * slowest_mps:
             return []
+        if abs(math.remainder(self._heading_rad - before.heading_rad, 2.0 * math.pi)) > _TURNED_RAD:
+            return []  # the time went by: it turned, as before the same line back
         text = (
             f"time leapt {leap_s:.0f} s ahead while the vehicle went on by {chord_m(before.fix, last.fix):.0f} m at "
             f"{slowest_mps:.1f} m/s: a clock was set, a time zone changed, or leap seconds were taken for something "

@@ -146,6 +146,17 @@ def test_sound_navigation_is_never_reported(
     assert codes(samples) == []
 
 
+def test_a_line_flown_back_after_a_turn_that_was_not_logged_is_no_clock_that_was_set() -> None:
+    there = line(160)
+    back = [
+        structs.replace(
+            sample, time_s=there[-1].time_s + 600.0 + number / RATE_HZ, heading_rad=sample.heading_rad + math.pi
+        )
+        for number, sample in enumerate(reversed(there))
+    ]
+    assert codes(there + back) == []
+
+
 def test_a_restart_goes_on_watching() -> None:
     lying = [heading_drifts(number, sample) for number, sample in enumerate(line())]
     whole, first = NavigationWatch(), NavigationWatch()
