@@ -36,7 +36,7 @@ _UNKNOWN_SPEED_MPS: Final = 1.5  # m/s, a usual survey speed; spaces pings whose
 
 
 class PingBlock(NamedTuple):
-    """Hold pings of equal sample layout with their poses at transmit; speeds are known and not negative.
+    """Hold pings of the first one's sample layout with their poses at transmit; speeds are known and not negative.
 
     along_m: (n,) float64 distance from mission start, strictly increasing once placed along the track, zero before.
     yaw_rate_rad_s, pitch_rate_rad_s: (n,) float64.
@@ -257,13 +257,8 @@ class Intake:
         if self._run or (len(self._pending) < BLOCK_PINGS and not everything):
             return self._run
         run: list[Ping] = []
-        layout: tuple[object, ...] = ()
         for item in self._pending:
-            if isinstance(item, SegmentEnd) or len(run) == BLOCK_PINGS:
-                break
-            if not run:
-                layout = _layout(item)
-            elif _layout(item) != layout:
+            if isinstance(item, SegmentEnd) or len(run) == BLOCK_PINGS or (run and not _is_alike(item, run[0])):
                 break
             run.append(item)
         self._run = run
@@ -365,8 +360,19 @@ def _rate(change: NDArray[np.float64], span_s: NDArray[np.float64]) -> NDArray[n
     return np.divide(change, span_s, out=np.zeros(change.shape), where=span_s > 0.5 * _RATE_HALF_SPAN_S)
 
 
-def _layout(ping: Ping) -> tuple[object, ...]:
-    def of(trace: EchoTrace | None) -> tuple[object, ...] | None:
-        return None if trace is None else (trace.samples.shape[0], trace.first_range_m, trace.spacing_m)
+def _is_alike(ping: Ping, first: Ping) -> bool:
+    """Check whether a ping has the sides and the sample layout of the first one of its block."""
+    return same_ranges(ping.port, first.port) and same_ranges(ping.starboard, first.starboard)
 
-    return of(ping.port), of(ping.starboard)
+
+def same_ranges(trace: EchoTrace | None, first: EchoTrace | None) -> bool:
+    """Check whether as many samples lie at the same ranges, but for less than half a sample at either end.
+
+    Where the sound speed is measured anew with each ping, no two spacings are equal.
+    """
+    if trace is None or first is None:
+        return trace is first
+    n_samples = len(trace.samples)
+    near_m = trace.first_range_m - first.first_range_m
+    far_m = near_m + n_samples * (trace.spacing_m - first.spacing_m)
+    return n_samples == len(first.samples) and max(abs(near_m), abs(far_m)) < 0.5 * first.spacing_m

@@ -9,6 +9,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_mcm.intake import same_ranges
 from auv_mcm.kernels.waterfall_sums import sums_of_counts
 from auv_mcm.records import EchoTrace, Side, Transfer
 from auv_mcm.waterfall.ground import Traces, make_traces, sum_of_clipped
@@ -61,7 +62,7 @@ class TraceChecker:
         self._counters = counters
         self._highest = 0
         self._previous: NDArray[Any] | None = None
-        self._layout: tuple[object, ...] = ()
+        self._first: EchoTrace | None = None  # of this layout
         self._n_filled = 0  # samples of this layout up to the last one that was ever another number than zero
         self._tables: dict[np.dtype[Any], NDArray[np.float32]] = {}  # intensity by count, per sample type
         self._rising: dict[np.dtype[Any], bool] = {}
@@ -98,9 +99,8 @@ class TraceChecker:
     def _filled(self, traces: Sequence[EchoTrace]) -> int:
         """Count the samples before the zeros that fill up every trace of this layout so far: no echo was measured."""
         first = traces[0]
-        layout = first.first_range_m, first.spacing_m, first.samples.shape[0]
-        if layout != self._layout:
-            self._layout, self._n_filled = layout, 0
+        if self._first is None or not same_ranges(first, self._first):
+            self._first, self._n_filled = first, 0
         if self._n_filled < first.samples.shape[0]:
             tails = np.stack([trace.samples[self._n_filled :] for trace in traces])
             filled = np.flatnonzero((tails != 0).any(axis=0))

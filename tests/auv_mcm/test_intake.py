@@ -264,6 +264,22 @@ def test_a_block_never_mixes_layouts(layouts: list[int]) -> None:
     assert all(length == BLOCK_PINGS for length in joined)
 
 
+@pytest.mark.parametrize(
+    ("change", "n_blocks"),
+    [
+        ({"spacing_m": 0.1006}, 1),
+        ({"spacing_m": 0.107}, 2),
+        ({"first_range_m": 0.09}, 1),
+        ({"first_range_m": 0.11}, 2),
+        ({"first_range_m": 0.09, "spacing_m": 0.103}, 2),
+    ],
+)
+def test_only_ranges_that_move_by_half_a_sample_split_a_block(change: dict[str, float], n_blocks: int) -> None:
+    moved = structs.replace(TRACE, **change)
+    blocks = Fed().feed([ping(i, trace=TRACE if i < 16 else moved) for i in range(32)]).flush().blocks
+    assert len(blocks) == n_blocks
+
+
 def test_sample_type_and_sound_speed_split_no_block() -> None:
     pings = [structs.replace(ping(i), sound_speed_mps=1500.0 + 0.1 * i) for i in range(32)]
     pings[7] = structs.replace(pings[7], port=structs.replace(TRACE, samples=SAMPLES.astype(np.float32)))

@@ -143,6 +143,34 @@ def test_zeros_that_fill_up_traces_change_nothing() -> None:
     assert filled.counters["detect.candidate"] == referred()[0].counters["detect.candidate"]
 
 
+def test_a_sound_speed_measured_with_each_ping_costs_no_clearance() -> None:
+    """Every ping once made a block of its own, which shows too little floor for its level: all of it was unknown."""
+    random = np.random.default_rng(1)
+
+    def scaled(trace: EchoTrace | None, factor: float) -> EchoTrace | None:
+        if trace is None:
+            return None
+        return msgspec.structs.replace(
+            trace, first_range_m=factor * trace.first_range_m, spacing_m=factor * trace.spacing_m
+        )
+
+    measured: list[SourceEvent] = []
+    for event in mission():
+        if isinstance(event, Ping):
+            factor = 1.0 + 1e-5 * float(random.uniform(-1.0, 1.0))
+            event = msgspec.structs.replace(
+                event, port=scaled(event.port, factor), starboard=scaled(event.starboard, factor)
+            )
+        measured.append(event)
+    pipeline, events = run(measured)
+    assert_same(pipeline.contacts, reference(), pixels=0.2, score=0.2)
+    kinds, expected = (
+        np.concatenate([event.cells.seabed for event in some if isinstance(event, CoveragePatch) and event.cells])
+        for some in (events, referred()[1])
+    )
+    assert np.mean(kinds == expected) > 0.9
+
+
 @pytest.mark.parametrize("n_times", [2, 3])
 def test_pings_sent_several_times_change_no_byte(n_times: int) -> None:
     """Repeated speckle once passed for another law of samples, and a flat floor for a rough one."""
