@@ -287,12 +287,13 @@ class Intake:
         poses = self._navigation.interpolate(np.concatenate([times, before_s, after_s]))
         heading_rad, pitch_rad = (angle.reshape(3, n_pings) for angle in (poses.heading_rad, poses.pitch_rad))
         poses = slice_pose(poses, slice(n_pings))
-        unknown = ~(np.isfinite(poses.speed_mps) & (poses.speed_mps >= 0.0))
+        speed_mps = np.abs(poses.speed_mps)  # astern, or by a sensor mounted so, pings lie as far apart
+        unknown = ~np.isfinite(speed_mps)
         self._counters["navigation.speed_unknown"] += int(np.count_nonzero(unknown))
         stated_m = np.array([ping.altitude_m for ping in pings])  # by a sonar that has an altimeter of its own
         poses = structs.replace(
             poses,
-            speed_mps=np.where(unknown, _UNKNOWN_SPEED_MPS, poses.speed_mps),
+            speed_mps=np.where(unknown, _UNKNOWN_SPEED_MPS, speed_mps),
             altitude_m=np.where(np.isfinite(poses.altitude_m), poses.altitude_m, stated_m),
         )
         self._navigation.forget_before(float(times[-1]) - 2.0 * _RATE_HALF_SPAN_S)

@@ -373,6 +373,13 @@ def test_distance_always_grows(speeds: list[float], seed: int) -> None:
     assert (np.diff(distance) > 0.0).all()
 
 
+def test_a_speed_astern_spaces_pings_as_one_ahead() -> None:
+    ahead = mission(40)
+    astern = [structs.replace(e, speed_mps=-e.speed_mps) if isinstance(e, NavSample) else e for e in ahead]
+    distances, expected = (np.concatenate(along(Fed().feed(events).flush())) for events in (astern, ahead))
+    np.testing.assert_array_equal(distances, expected)
+
+
 def test_unknown_speed_is_counted_and_guessed() -> None:
     fed = Fed().feed([ping(i) for i in range(10)]).flush()
     distance = np.concatenate(along(fed))
