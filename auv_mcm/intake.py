@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Final, NamedTuple
 
@@ -32,6 +33,7 @@ _MAX_QUIET_STEP_S: Final = 1.0  # that a sample adds to it: a leap of its clock 
 _MIN_HELD: Final = 3  # in a row, by which navigation has stepped back: one or two are late, or a glitch
 _MIN_SEGMENT_GAP_S: Final = 2.0  # s without a ping that end a segment, whatever navigation may bridge
 _MIN_STEP_M: Final = 1e-3  # m between pings: keeps distances along the track increasing when the vehicle stands
+_WAVERS: Final = 0.01  # of a ping's samples: a change of range changes more. Chosen
 _UNKNOWN_SPEED_MPS: Final = 1.5  # m/s, a usual survey speed; spaces pings whose speed is not known
 
 
@@ -367,13 +369,26 @@ def _is_alike(ping: Ping, first: Ping) -> bool:
 
 
 def same_ranges(trace: EchoTrace | None, first: EchoTrace | None) -> bool:
-    """Check whether as many samples lie at the same ranges, but for less than half a sample at either end.
+    """Check whether samples lie at the same ranges, but for less than half a sample at either end, nearly as many.
 
-    Where the sound speed is measured anew with each ping, no two spacings are equal.
+    Where the sound speed is measured with each ping, no two spacings are equal.
     """
     if trace is None or first is None:
         return trace is first
-    n_samples = len(trace.samples)
     near_m = trace.first_range_m - first.first_range_m
-    far_m = near_m + n_samples * (trace.spacing_m - first.spacing_m)
-    return n_samples == len(first.samples) and max(abs(near_m), abs(far_m)) < 0.5 * first.spacing_m
+    far_m = near_m + len(first.samples) * (trace.spacing_m - first.spacing_m)
+    return nearly_as_many(trace, first) and max(abs(near_m), abs(far_m)) < 0.5 * first.spacing_m
+
+
+def nearly_as_many(trace: EchoTrace, first: EchoTrace) -> bool:
+    """Check whether sample counts differ by a hundredth at most: some recorders' waver by one or two."""
+    return abs(len(trace.samples) - len(first.samples)) <= _WAVERS * len(first.samples)
+
+
+def equal_counts(traces: Sequence[EchoTrace]) -> list[EchoTrace]:
+    """Cut traces to the samples of the shortest."""
+    n_samples = min(len(trace.samples) for trace in traces)
+    return [
+        trace if len(trace.samples) == n_samples else structs.replace(trace, samples=trace.samples[:n_samples])
+        for trace in traces
+    ]

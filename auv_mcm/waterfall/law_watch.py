@@ -10,13 +10,13 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from auv_mcm.intake import equal_counts, nearly_as_many
 from auv_mcm.kernels.ping_windows import BLOCK_PINGS
-from auv_mcm.records import EchoTrace, Notice, Ping, Transfer, TransferKind
+from auv_mcm.records import Notice, Ping, Transfer, TransferKind
 from auv_mcm.settings.config import SonarConfig
 from auv_mcm.waterfall.floor_speckle import floor_speckle
 from auv_mcm.waterfall.regions import Regions, measure_regions
@@ -59,7 +59,6 @@ class LawWatch:
         self._sonar = sonar
         self._blocks: deque[_Measured] = deque()  # of the newest _RECENT_BLOCKS those that were measured
         self._open: list[Ping] = []  # of the block being filled
-        self._open_form: tuple[object, ...] = ()  # of its pings
         self._newest: Ping | None = None
         self._n_given = 0  # pings since the start
         self._n_pings = 0  # of them those that do not repeat the one before
@@ -108,9 +107,8 @@ class LawWatch:
         self._n_given += 1
 
     def _collect(self, ping: Ping) -> None:
-        form = _form(ping)
-        if form != self._open_form:
-            self._open, self._open_form = [], form
+        if self._open and not _is_alike(ping, self._open[0]):
+            self._open = []
         self._open.append(ping)
         if len(self._open) == BLOCK_PINGS:
             if self._is_measured_next():
@@ -201,9 +199,10 @@ class LawWatch:
 
 
 def measure_block(pings: Sequence[Ping]) -> Regions:
-    """Measure 16 pings of equal layout and sample type."""
+    """Measure 16 pings of one sample type and nearly as many samples each."""
     sides = ([ping.port for ping in pings], [ping.starboard for ping in pings])
-    return measure_regions([np.stack([_samples(trace) for trace in side]) for side in sides if side[0] is not None])
+    heard = [equal_counts([trace for trace in side if trace is not None]) for side in sides if side[0] is not None]
+    return measure_regions([np.stack([trace.samples for trace in side]) for side in heard])
 
 
 def law_of_pings(pings: Sequence[Ping], sonar: SonarConfig) -> SampleLaw:
@@ -213,17 +212,12 @@ def law_of_pings(pings: Sequence[Ping], sonar: SonarConfig) -> SampleLaw:
     """
     starts = np.linspace(0, max(len(pings) - BLOCK_PINGS, 0), _SPREAD_BLOCKS).astype(int)
     runs = [pings[start : start + BLOCK_PINGS] for start in sorted(set(starts.tolist()))]
-    whole = [run for run in runs if len(run) == BLOCK_PINGS and len({_form(ping) for ping in run}) == 1]
+    whole = [run for run in runs if len(run) == BLOCK_PINGS and all(_is_alike(ping, run[0]) for ping in run)]
     kind = None if sonar.transfer == "auto" else sonar.transfer
     law = sample_law(floor_speckle([measure_block(run) for run in whole]), kind)
     if law.transfer.kind == "log" and sonar.db_per_count is not None:
         return law._replace(transfer=Transfer("log", sonar.db_per_count))
     return law
-
-
-def _samples(trace: EchoTrace | None) -> NDArray[Any]:
-    assert trace is not None  # all pings of a block have the same sides
-    return trace.samples
 
 
 def _repeats(ping: Ping, before: Ping) -> bool:
@@ -235,11 +229,17 @@ def _repeats(ping: Ping, before: Ping) -> bool:
     )
 
 
-def _form(ping: Ping) -> tuple[object, ...]:
-    port, starboard = ping.port, ping.starboard
-    return (
-        None if port is None else (port.samples.shape[0], port.samples.dtype.str),
-        None if starboard is None else (starboard.samples.shape[0], starboard.samples.dtype.str),
+def _is_alike(ping: Ping, first: Ping) -> bool:
+    """Check whether a ping has the sides of another, their sample types, and nearly as many samples."""
+    return all(
+        one is other
+        or (
+            one is not None
+            and other is not None
+            and one.samples.dtype == other.samples.dtype
+            and nearly_as_many(one, other)
+        )
+        for one, other in ((ping.port, first.port), (ping.starboard, first.starboard))
     )
 
 

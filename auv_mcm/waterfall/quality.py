@@ -80,7 +80,7 @@ class TraceChecker:
         """
         layout = traces[0].first_range_m, traces[0].spacing_m
         kind = traces[0].samples.dtype
-        is_whole = 0 < self._filled(traces) == traces[0].samples.size
+        is_whole = self._filled(traces) >= traces[0].samples.size > 0
         if is_whole and self._rises(kind) and all(trace.samples.dtype == kind for trace in traces):
             samples, table = _stacked(traces), self._tables[kind]
             highest_count = samples.max(axis=1, initial=0)

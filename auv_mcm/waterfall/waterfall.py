@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.intake import PingBlock
+from auv_mcm.intake import PingBlock, equal_counts
 from auv_mcm.kernels.waterfall_rows import Turning, ping_masks, scale_rows
 from auv_mcm.records import SIDES, Notice, Ping, Side, Tile, Transfer
 from auv_mcm.settings.config import Config
@@ -127,7 +127,7 @@ class Waterfall:
         if first is None:
             return None
         traces = [ping.port if side == "port" else ping.starboard for ping in pings]
-        return self._checkers[side].cumulate([trace for trace in traces if trace is not None])
+        return self._checkers[side].cumulate(equal_counts([trace for trace in traces if trace is not None]))
 
     def _finish_block(self, track: BottomTrack) -> list[Tile]:
         assert self._held is not None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import cache
 
 import msgspec
@@ -16,7 +16,7 @@ from auv_mcm.classify.beliefs import MINE_LIKE_P
 from auv_mcm.contacts.export import contacts_geojson
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.pipeline import Pipeline
-from auv_mcm.records import Contact, CoveragePatch, EchoTrace, NavSample, Ping, PipelineEvent, SourceEvent
+from auv_mcm.records import Contact, CoveragePatch, EchoTrace, NavSample, Notice, Ping, PipelineEvent, SourceEvent
 from auv_mcm.settings.config import Config, ContactsConfig, WaterfallConfig
 from sim_replay.simulator.scene import SampleRecorder, Scene, SceneObject, Sonar
 from tests.auv_mcm.short_missions import flown, one_leg
@@ -143,32 +143,39 @@ def test_zeros_that_fill_up_traces_change_nothing() -> None:
     assert filled.counters["detect.candidate"] == referred()[0].counters["detect.candidate"]
 
 
-def test_a_sound_speed_measured_with_each_ping_costs_no_clearance() -> None:
-    """Every ping once made a block of its own, which shows too little floor for its level: all of it was unknown."""
+def jittered(change: str) -> Iterator[SourceEvent]:
+    """Ranges by a sound speed measured with each ping, or every second ping a sample shorter."""
     random = np.random.default_rng(1)
-
-    def scaled(trace: EchoTrace | None, factor: float) -> EchoTrace | None:
-        if trace is None:
-            return None
-        return msgspec.structs.replace(
-            trace, first_range_m=factor * trace.first_range_m, spacing_m=factor * trace.spacing_m
-        )
-
-    measured: list[SourceEvent] = []
     for event in mission():
         if isinstance(event, Ping):
-            factor = 1.0 + 1e-5 * float(random.uniform(-1.0, 1.0))
-            event = msgspec.structs.replace(
-                event, port=scaled(event.port, factor), starboard=scaled(event.starboard, factor)
-            )
-        measured.append(event)
-    pipeline, events = run(measured)
+            factor = 1.0 + 1e-5 * float(random.uniform(-1.0, 1.0)) if change == "speed" else 1.0
+            n_fewer = event.number % 2 if change == "count" else 0
+            sides = {
+                side: msgspec.structs.replace(
+                    trace,
+                    samples=trace.samples[: len(trace.samples) - n_fewer],
+                    first_range_m=factor * trace.first_range_m,
+                    spacing_m=factor * trace.spacing_m,
+                )
+                for side, trace in (("port", event.port), ("starboard", event.starboard))
+                if trace is not None
+            }
+            event = msgspec.structs.replace(event, **sides)
+        yield event
+
+
+@pytest.mark.parametrize("change", ["speed", "count"])
+def test_pings_whose_samples_differ_by_a_hair_cost_no_clearance(change: str) -> None:
+    """Every ping once made a block of its own, which shows too little floor for its level: all of it was unknown."""
+    pipeline, events = run(list(jittered(change)))
     assert_same(pipeline.contacts, reference(), pixels=0.2, score=0.2)
     kinds, expected = (
         np.concatenate([event.cells.seabed for event in some if isinstance(event, CoveragePatch) and event.cells])
         for some in (events, referred()[1])
     )
     assert np.mean(kinds == expected) > 0.9
+    codes = [[event.code for event in some if isinstance(event, Notice)] for some in (events, referred()[1])]
+    assert codes[0] == codes[1]
 
 
 @pytest.mark.parametrize("n_times", [2, 3])

@@ -211,7 +211,7 @@ def test_traces_together_are_checked_as_one_by_one(dtype: type) -> None:
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.float32])
 def test_zeros_are_no_echo_where_no_trace_ever_held_one(dtype: type) -> None:
-    """What is dark later, behind an object, stays a shadow; another layout starts anew."""
+    """What is dark later, behind an object, stays a shadow; another layout is judged by itself."""
 
     def trace(samples: NDArray[Any], spacing_m: float = SPACING_M) -> EchoTrace:
         return EchoTrace(samples=samples.astype(dtype), first_range_m=0.1, spacing_m=spacing_m)
