@@ -34,6 +34,7 @@ _MIN_HELD: Final = 3  # in a row, by which navigation has stepped back: one or t
 _MIN_SEGMENT_GAP_S: Final = 2.0  # s without a ping that end a segment, whatever navigation may bridge
 _MIN_STEP_M: Final = 1e-3  # m between pings: keeps distances along the track increasing when the vehicle stands
 _WAVERS: Final = 0.01  # of a ping's samples: a change of range changes more. Chosen
+_MIN_LOST: Final = 64  # pings that have the time of another, as a third of all: from there a person is asked. Chosen
 _UNKNOWN_SPEED_MPS: Final = 1.5  # m/s, a usual survey speed; spaces pings whose speed is not known
 
 
@@ -92,6 +93,8 @@ class Intake:
         self._run: list[Ping] = []  # of the pending pings, those that make the next block, once that is known
         self._squint_rad: float | None = None  # of the newest ping
         self._newest_s = math.nan  # of the pings: one wrong stamp of navigation must not end all waiting for it
+        self._newest_name: tuple[object, ...] = ()  # number and sides of the newest ping
+        self._n_given = self._n_lost = 0  # pings, and those of them that have the time of another
         self._n_without_ping = 0  # navigation samples since the newest ping
         self._quiet_s = 0.0  # that they lasted
         self._navigated_s = math.nan  # of the newest sample
@@ -190,9 +193,14 @@ class Intake:
         step_s = ping.time_s - self._newest_s
         looks_elsewhere = self._squint_rad not in (None, ping.squint_rad)
         self._squint_rad = ping.squint_rad
+        name = ping.number, ping.port is None, ping.starboard is None
+        self._n_given += 1
         if not looks_elsewhere and -_CLOCK_STEP_S < step_s <= 0.0:
             self._counters["ping.time_repeated" if step_s == 0.0 else "ping.time_backwards"] += 1
+            if step_s == 0.0 and name != self._newest_name:
+                self._lose(ping)
             return []
+        self._newest_name = name
         done: list[PingBlock | SegmentEnd] = []
         if looks_elsewhere or step_s <= -_CLOCK_STEP_S:
             self._counters["ping.sub_aperture" if looks_elsewhere else "ping.clock_stepped_back"] += 1
@@ -206,6 +214,19 @@ class Intake:
         self._n_without_ping, self._quiet_s, self._is_open = 0, 0.0, True
         self._pending.append(ping)
         return done + self._release(everything=False)
+
+    def _lose(self, ping: Ping) -> None:
+        """Count a ping that has the time of another one, and ask a person to look where that takes many."""
+        self._n_lost += 1
+        if self._n_lost < _MIN_LOST or 3 * self._n_lost < self._n_given or "ping.times_repeat" in self._raised:
+            return
+        self._raised.add("ping.times_repeat")
+        text = (
+            f"{self._n_lost} of {self._n_given} pings have the time of the one before, and are left out: a clock that "
+            "is too coarse, or each side as a ping of its own. Give each ping the time at which it was sent, and both "
+            "sides in one."
+        )
+        self._notices.append(Notice(code="ping.times_repeat", text=text, place=ping.place))
 
     def flush(self) -> list[PingBlock | SegmentEnd]:
         """Release everything still waiting, and the end of the segment."""

@@ -194,6 +194,16 @@ def test_repeated_and_slightly_older_times_are_dropped_and_counted() -> None:
     assert fed.counters["ping.time_backwards"] == 2
 
 
+def test_pings_that_go_because_times_are_too_coarse_or_sides_come_alone_are_reported_once() -> None:
+    whole = [ping(number, START_S + number // 10) for number in range(200)]
+    alone = [structs.replace(ping(number), **{side: None}) for number in range(100) for side in ("port", "starboard")]
+    for pings in (whole, alone):
+        found = Fed().feed(pings).flush().intake.take_notices()
+        assert [one.code for one in found if one.code == "ping.times_repeat"] == ["ping.times_repeat"]
+    twice = [each for number in range(200) for each in [ping(number)] * 2]
+    assert not [one for one in Fed().feed(twice).flush().intake.take_notices() if one.code == "ping.times_repeat"]
+
+
 @pytest.mark.parametrize("step_s", [-3600.0, -1.5])
 def test_a_clock_set_back_ends_the_segment_and_goes_on(step_s: float) -> None:
     before = mission(100)
