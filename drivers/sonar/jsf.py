@@ -49,6 +49,7 @@ MAX_GAIN: Final = 100  # per cent
 NOMINAL_SOUND_SPEED_MPS: Final = 1500.0  # m/s, while the sonar reports none
 
 _MAX_BODY_BYTES: Final = (1 << 18) - 1  # 32 times the samples that side-scans of AUVs send
+_FIRST_SENSOR: Final = 1000  # types from here on are of sensors, navigation and bathymetry; commands have lower ones
 _MAX_OTHER_BYTES: Final = 1 << 14  # only its size gives the length of other messages: a longer one needs another behind
 _MAX_FILE_BYTES: Final = (1 << 24) - 1  # of a message in a file, where nobody waits: bathymetry and stave data are long
 _OFTEN: Final = 5  # messages of a subsystem, after which it counts (chosen)
@@ -229,7 +230,7 @@ class JsfDecoder:
             message = arrived.message
             if self._heard is not None and is_side_scan(message):
                 found += self._follow_highest(message.subsystem, self._heard)
-            if message.command in (Command.REPLY, Command.ERROR):
+            if is_answer(message):
                 found.append(_reply(arrived))
             elif message.message_type != SIDE_SCAN:
                 self._sensor_speed_mps = sound_speed_in(message) or self._sensor_speed_mps
@@ -327,8 +328,14 @@ def is_side_scan(message: JsfMessage) -> bool:
         message.message_type == SIDE_SCAN
         and message.subsystem in SIDE_SCAN_SUBSYSTEMS
         and message.channel in (PORT, STARBOARD)
-        and message.command not in (Command.REPLY, Command.ERROR)
+        and not is_answer(message)
     )
+
+
+def is_answer(message: JsfMessage) -> bool:
+    """Check whether a message answers a command: what is measured carries the byte of a reply in EdgeTech's files."""
+    is_measured = message.message_type == SIDE_SCAN or message.message_type >= _FIRST_SENSOR
+    return message.command == Command.ERROR or (message.command == Command.REPLY and not is_measured)
 
 
 def subsystems_text(there: Sequence[int], used: int) -> str:

@@ -20,7 +20,7 @@ from auv_mcm.records import NAN, Notice
 from drivers.navigation.nmea0183 import sentence
 from drivers.navigation.sentences import Dpt, Pashr, Record, Vtg, body_of
 from drivers.recording.session_layout import Recorded
-from drivers.sonar.jsf import JsfGrammar, is_side_scan, subsystems_text
+from drivers.sonar.jsf import JsfGrammar, is_answer, is_side_scan, subsystems_text
 from drivers.sonar.jsf_messages import (
     DATA_HEADER,
     DOPPLER,
@@ -28,7 +28,6 @@ from drivers.sonar.jsf_messages import (
     PRESSURE,
     SIDE_SCAN,
     STARBOARD,
-    Command,
     JsfMessage,
     SideScanHeader,
     Validity,
@@ -199,7 +198,7 @@ class JsfRecording:
 
     def _recorded(self, message: JsfMessage, offset: int) -> Recorded | None:
         """Convert a message to bytes of a port; None for one that is not used, which is counted."""
-        if message.command in (Command.REPLY, Command.ERROR):
+        if is_answer(message):
             self._own["reader.other_messages"] += 1
             return None
         if message.message_type == SIDE_SCAN:

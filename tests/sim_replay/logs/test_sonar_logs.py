@@ -63,6 +63,14 @@ def test_a_jsf_log_of_the_low_frequency_alone_is_taken(tmp_path: Path) -> None:
     assert [bytes_of(contact) for contact in found] == [bytes_of(contact) for contact in expected]
 
 
+def test_data_with_the_command_byte_of_a_normal_source_are_no_replies(tmp_path: Path) -> None:
+    plain, marked = written("jsf", tmp_path / "plain"), tmp_path / "marked"
+    marked.write_bytes(b"".join(jsf_wire(f.message._replace(command=2)) for f in _jsf(plain.read_bytes())))
+    log, expected = open_log(marked, Config()), open_log(plain, Config())
+    assert [repr(event) for event in log] == [repr(event) for event in expected]
+    assert log.counters == expected.counters
+
+
 def test_of_several_subsystems_the_highest_is_used_or_the_one_configured(tmp_path: Path) -> None:
     whole = written("jsf", tmp_path / "high").read_bytes()
     both = tmp_path / "both"
