@@ -54,8 +54,8 @@ _ATTITUDE: Final = Struct("<24xhh6xHI")  # pitch, roll: 180 / 32768 deg, bow up,
 # Validity; distances to the bottom, cm; velocity to starboard and ahead over the bottom, mm/s; pitch, roll and heading,
 # 0.01 deg.
 _DOPPLER: Final = Struct("<12xI4i2h10x2hH")
-_MOVES, _ABOVE_BOTTOM = 1 << 0, 1 << 6
-_HEADS, _PITCHES, _ROLLS = 1 << 7, 1 << 8, 1 << 9
+_MOVES, _ABOVE_BOTTOM = 1 << 0, 1 << 5
+_HEADS, _PITCHES, _ROLLS = 1 << 6, 1 << 7, 1 << 8
 _FIRST_S: Final = 315_532_800  # 1980-01-01, s since 1970: before it a clock was never set
 _PITCH_VALID, _ROLL_VALID, _HEADING_VALID = 1 << 6, 1 << 7, 1 << 9
 

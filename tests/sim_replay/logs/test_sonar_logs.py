@@ -16,12 +16,15 @@ from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.records import NavSample, Notice, Ping
 from auv_mcm.settings.config import Config, SonarConfig
 from drivers.framing import Framer
+from drivers.navigation.nav_decoder import NavFix
+from drivers.navigation.nmea_unit import NmeaUnit
 from drivers.sonar.jsf import JsfGrammar
 from drivers.sonar.jsf_messages import JsfMessage
 from drivers.sonar.jsf_messages import to_wire as jsf_wire
 from drivers.sonar.ping_messages import OsMonoProfile, PingMessage, decode, encode
 from drivers.sonar.ping_messages import to_wire as ping_wire
 from drivers.sonar.ping_protocol import PingGrammar
+from sim_replay.logs.jsf_recording import JsfRecording
 from sim_replay.logs.open_log import open_log
 from sim_replay.logs.recorded import open_mission
 from sim_replay.wire_logs import jsf_time, svlog_head
@@ -137,6 +140,27 @@ def test_pitch_and_roll_of_the_motion_sensor_serve_where_nothing_else_gives_them
         assert math.degrees(sample.roll_rad) == pytest.approx(-5.0, abs=0.02)
         assert math.degrees(sample.heading_rad) == pytest.approx(123.45, abs=0.02)
     assert samples[0].time_s == pytest.approx(UTC_S + last_s, abs=1e-3)
+
+
+@pytest.mark.parametrize(("bit", "given"), [(0, "speed"), (5, "altitude"), (6, "heading"), (7, "pitch"), (8, "roll")])
+def test_each_bit_of_a_doppler_log_stands_for_its_own_quantity(tmp_path: Path, bit: int, given: str) -> None:
+    numbers = (1 << bit, 812, 0, 0, 812, -300, 1600, 250, -480, 12_345)
+    body = struct.pack("<12xI4i2h10x2hH20x", *numbers)
+    whole = written("jsf", tmp_path / "whole").read_bytes()
+    sides = b"".join(jsf_wire(f.message) for f in _jsf(whole) if f.message.message_type == 80)
+    path = tmp_path / "log"
+    path.write_bytes(sides + jsf_wire(JsfMessage(2080, body, subsystem=101)))
+    last = [event for event in JsfRecording(path, None, 1 << 16) if event.port == "doppler"][-1]
+    (fix,) = NmeaUnit("doppler").feed(last.data, last.stamp) or [NavFix(source="", received=last.stamp)]
+    found = {
+        "speed": (fix.speed_mps, math.hypot(0.3, 1.6)),
+        "altitude": (fix.altitude_m, 8.12),
+        "heading": (math.degrees(fix.heading_rad), 123.45),
+        "pitch": (math.degrees(fix.pitch_rad), 2.5),
+        "roll": (math.degrees(fix.roll_rad), -4.8),
+    }
+    assert {name for name, (value, _) in found.items() if not math.isnan(value)} == {given}
+    assert found[given][0] == pytest.approx(found[given][1], abs=0.01)
 
 
 def moved(framed: Any, by_s: float) -> bytes:
