@@ -122,6 +122,9 @@ class JsfRecording:
             self._notify("reader.frequency_chosen", text, self._file.path.name)
         order = TimeOrder[Recorded](self._own)
         for framed in self._file:
+            if framed.message.message_type in (PRESSURE, DOPPLER) and self._last_ns is not None:
+                # The decoder of the sonar takes the sound speed.
+                yield from order.add(_received(SONAR_PORT, to_wire(framed.message), self._last_ns))
             recorded = self._recorded(framed.message, framed.offset)
             if recorded is not None:
                 yield from order.add(recorded)
@@ -214,7 +217,7 @@ class JsfRecording:
         if sound_speed_in(message) is not None:
             self._n_without_speed -= self._n_without_speed == self._n_pings
         if message.message_type == PRESSURE and self._last_ns is not None:
-            return _received(SONAR_PORT, to_wire(message), self._last_ns)
+            return None
         if message.message_type == DOPPLER and self._last_ns is not None:
             return self._of_doppler(message)
         self._own["reader.other_messages"] += 1
