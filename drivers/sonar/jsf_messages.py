@@ -88,7 +88,7 @@ class JsfMessage(NamedTuple):
 class SideScanHeader(NamedTuple):
     """Hold the 240 bytes before the samples, in order; bytes not listed are zero.
 
-    samples_low: low 16 bits of the number of samples.
+    samples_low, start_frequency_dahz, end_frequency_dahz: low 16 bits; `msb` has four more of each.
     """
 
     time_s: int = 0
@@ -155,6 +155,16 @@ class SideScanHeader(NamedTuple):
     def sample_interval_s(self) -> float:
         """Compute the time between samples, s."""
         return 1e-9 * (self.interval_ns + (self.lsb_1 & 0xFF) / 256.0)
+
+    @property
+    def start_frequency_hz(self) -> int:
+        """Return the frequency at which the sweep starts, from both of its fields."""
+        return 10 * (self.start_frequency_dahz | (self.msb & 0xF) << 16)
+
+    @property
+    def end_frequency_hz(self) -> int:
+        """Return the frequency at which the sweep ends, from both of its fields."""
+        return 10 * (self.end_frequency_dahz | (self.msb >> 4 & 0xF) << 16)
 
     @property
     def utc_s(self) -> float:

@@ -152,7 +152,7 @@ class JsfRecording:
             for message in self._probed
             if message.subsystem == self.subsystem
         ]
-        sweeps = [5e-3 * (header.start_frequency_dahz + header.end_frequency_dahz) for header in headers]
+        sweeps = [5e-4 * (header.start_frequency_hz + header.end_frequency_hz) for header in headers]
         return float(sorted(sweeps)[len(sweeps) // 2]) if sweeps else 0.0
 
     def _chosen(self, wanted: int | None) -> int:

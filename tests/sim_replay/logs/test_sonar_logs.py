@@ -177,6 +177,20 @@ def test_the_sound_speed_of_a_doppler_log_scales_ranges(tmp_path: Path) -> None:
     assert last == pytest.approx(first * 1450.0 / 1500.0)
 
 
+def test_a_frequency_above_655_khz_is_read_from_all_of_its_bits(tmp_path: Path) -> None:
+    parts = []
+    for framed in _jsf(written("jsf", tmp_path / "whole").read_bytes()):
+        body = bytearray(framed.message.body)
+        if framed.message.message_type == 80:
+            for at, shift, khz in ((126, 0, 1550), (128, 4, 1650)):
+                body[16] |= (khz * 100 >> 16) << shift
+                body[at : at + 2] = (khz * 100 & 0xFFFF).to_bytes(2, "little")
+        parts.append(jsf_wire(framed.message._replace(body=bytes(body))))
+    path = tmp_path / "log"
+    path.write_bytes(b"".join(parts))
+    assert JsfRecording(path, None, 1 << 16).frequency_khz == pytest.approx(1600.0)
+
+
 def moved(framed: Any, by_s: float) -> bytes:
     """A message of a JSF log at another time."""
     body = bytearray(framed.message.body)
