@@ -30,7 +30,7 @@ _MAX_WAITING: Final = 1 << 15  # packets before the next ping: a minute of five 
 _AHEAD_S: Final = 5.0  # s by which a packet may be later than the ping behind it in the file: recorders keep a second
 _BEHIND_S: Final = 600.0  # s before the ping ahead of it, for packets in blocks; time zones are 900 s apart (chosen)
 _DAY: Final = Struct("<HBBBBB")  # year, month, day, hour, minute, second
-_RAW: Final = Struct("<H2d4x3f4xf")  # tenths of a millisecond, Y, X, pitch, roll, then heading, behind the day
+_RAW: Final = Struct("<H2d8x2f4xf")  # tenths of a millisecond, Y, X, pitch, roll, then heading, behind the day
 _NAV: Final = Struct("<I8x2d")  # microseconds, Y, X, behind the day
 _GYRO: Final = Struct("<I8xf")  # microseconds, heading, behind the day
 _ATTITUDE: Final = Struct("<2f12xf")  # pitch, roll, heading
@@ -98,7 +98,7 @@ def read_packet(kind: int, data: bytes, unit: NmeaUnit) -> list[PacketNavigation
             return [PacketNavigation(kind, time_s, heading_deg=heading, pitch_deg=pitch, roll_deg=roll)]
         at = _PACKET_AT + _DAY.size
         if kind == RAW_NAVIGATION:
-            ticks, y, x, pitch, roll, _, heading = (*_RAW.unpack_from(data, at)[:5], 0.0, _RAW.unpack_from(data, at)[6])
+            ticks, y, x, pitch, roll, heading = _RAW.unpack_from(data, at)
             return [PacketNavigation(kind, _time(data, _PACKET_AT, 1e-4 * ticks), x, y, heading, pitch, roll)]
         if kind == NAVIGATION:
             ticks, y, x = _NAV.unpack_from(data, at)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +37,8 @@ def in_packets(path: Path, hours: int, only: int | None) -> Path:
         packet.Hour += hours if only in (None, index) else 0
         packet.Microsecond = 100 * header.HSeconds
         packet.RawXcoordinate, packet.RawYcoordinate = header.SensorXcoordinate, header.SensorYcoordinate
+        packet.RawAltitude, packet.Heave = 12.3, 0.7
+        packet.Pitch, packet.Roll, packet.Heading = 2.5, -4.0, 123.0
         header.SensorXcoordinate = header.SensorYcoordinate = header.ShipXcoordinate = header.ShipYcoordinate = 0.0
         places.append(bytes(packet))
 
@@ -64,6 +67,20 @@ def test_a_clock_of_navigation_that_is_hours_off_or_once_wrong_costs_no_position
     n_doubted = 0 if not hours else 1 if only else N_PINGS - (hours < 0)
     assert log.counters["reader.packet_time_doubted"] == n_doubted
     assert ("reader.packet_time_doubted" in codes_of(events)) == bool(hours)
+
+
+def test_attitude_in_packets_107_stands_behind_the_height(tmp_path: Path) -> None:
+    path = in_packets(tmp_path / "log.xtf", 0, None)
+
+    def empty(_: int, header: Any) -> None:
+        header.SensorPitch = header.SensorRoll = header.SensorHeading = header.ShipGyro = 0.0
+
+    edit_headers(path, empty)
+    given = [sample for sample in navigation_of(read(path)[0]) if sample.roll_rad == sample.roll_rad != 0.0]
+    assert len(given) == N_PINGS
+    for sample in given:
+        angles = sample.pitch_rad, sample.roll_rad, sample.heading_rad
+        assert [math.degrees(angle) for angle in angles] == pytest.approx([2.5, -4.0, 123.0])
 
 
 @pytest.mark.parametrize(("numbers", "n_left"), [([40], N_PINGS - 1), ([40, 41], N_PINGS), ([N_PINGS - 1], N_PINGS)])
