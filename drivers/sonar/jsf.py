@@ -313,8 +313,8 @@ class JsfDecoder:
         return True
 
     def _range_speed_mps(self, header: SideScanHeader) -> float:
-        sound_speed_mps = header.sound_speed_mps
-        if not (header.validity & Validity.SOUND_SPEED and 1300.0 <= sound_speed_mps <= 1700.0):
+        sound_speed_mps = header.stated_sound_speed_mps
+        if sound_speed_mps is None:
             self.counters["jsf.sound_speed_not_told"] += 1
             sound_speed_mps = self._sensor_speed_mps or self._sound_speed_mps
         if abs(sound_speed_mps - self._sound_speed_mps) >= _SAME_SPEED_MPS:

@@ -157,6 +157,12 @@ class SideScanHeader(NamedTuple):
         return 1e-9 * (self.interval_ns + (self.lsb_1 & 0xFF) / 256.0)
 
     @property
+    def stated_sound_speed_mps(self) -> float | None:
+        """Return the sound speed where the message states one that is water's."""
+        is_valid = self.validity & Validity.SOUND_SPEED and 1300.0 <= self.sound_speed_mps <= 1700.0
+        return self.sound_speed_mps if is_valid else None
+
+    @property
     def start_frequency_hz(self) -> int:
         """Return the frequency at which the sweep starts, from both of its fields."""
         return 10 * (self.start_frequency_dahz | (self.msb & 0xF) << 16)

@@ -30,7 +30,6 @@ from drivers.sonar.jsf_messages import (
     STARBOARD,
     JsfMessage,
     SideScanHeader,
-    Validity,
     sound_speed_in,
     to_wire,
 )
@@ -226,7 +225,7 @@ class JsfRecording:
     def _of_ping(self, message: JsfMessage, offset: int) -> Recorded | None:
         header = SideScanHeader(*DATA_HEADER.unpack_from(message.body))
         self._n_pings += 1
-        self._n_without_speed += not header.validity & Validity.SOUND_SPEED
+        self._n_without_speed += header.stated_sound_speed_mps is None
         echo_s = (header.start_depth_samples + header.n_samples - 0.5) * header.sample_interval_s
         if not 0.0 < echo_s < _MAX_ECHO_S:
             echo_s = 0.0

@@ -177,6 +177,19 @@ def test_the_sound_speed_of_a_doppler_log_scales_ranges(tmp_path: Path) -> None:
     assert last == pytest.approx(first * 1450.0 / 1500.0)
 
 
+def test_a_sound_speed_that_is_called_valid_and_is_0_counts_as_none(tmp_path: Path) -> None:
+    parts = []
+    for framed in _jsf(written("jsf", tmp_path / "whole").read_bytes()):
+        body = bytearray(framed.message.body)
+        if framed.message.message_type == 80:
+            body[148:152] = bytes(4)
+        parts.append(jsf_wire(framed.message._replace(body=bytes(body))))
+    path = tmp_path / "log"
+    path.write_bytes(b"".join(parts))
+    notices = [event.code for event in open_log(path, Config()) if isinstance(event, Notice)]
+    assert notices == ["reader.sound_speed_assumed"]
+
+
 def test_a_frequency_above_655_khz_is_read_from_all_of_its_bits(tmp_path: Path) -> None:
     parts = []
     for framed in _jsf(written("jsf", tmp_path / "whole").read_bytes()):
