@@ -11,6 +11,7 @@ import math
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
+from statistics import median
 from struct import Struct
 from typing import Final
 
@@ -64,6 +65,11 @@ _STRAY_FRACTION: Final = 0.05  # of the commonest subsystem's messages; fewer of
 _MAX_CHANNEL: Final = 3  # that a recorder may count sides up to, from 0 or 1
 _MAX_ECHO_S: Final = 5.0  # 3750 m; the decoder refuses what is longer
 _MIN_INTERVAL_S: Final = 0.02  # s between pings whose time and range are unknown
+_APART_S: Final = (
+    1.0  # s that recorders may keep messages: navigation farther from the pings around it has its own clock
+)
+_MIN_APART: Final = 5  # messages that show how far clocks are apart (chosen)
+_MAX_HEARD: Final = 4096  # messages between two pings that are looked at, which bounds memory
 _CLOCK_NOT_SET: Final = "the sonar's clock was never set: the date is unknown and times count from 1970"
 _DAY_S: Final = 86_400.0  # seconds per day
 
@@ -89,6 +95,7 @@ class JsfRecording:
         self.notices: list[Notice] = []
         self._sound_speed_is_set = sound_speed_is_set
         self._has_clock = False
+        self._apart_ns: dict[int, int] = {}  # by type, of the clock of navigation from that of the pings
         self._last_ns: int | None = None  # of the newest ping
         self._n_pings = 0
         self._n_without_speed = 0
@@ -112,6 +119,7 @@ class JsfRecording:
         self._own = Counter()
         self.notices = []
         self._last_ns, self._n_pings, self._n_without_speed = None, 0, 0
+        self._judged: dict[int, tuple[int, bool]] = {}  # by type: at which ping, and whether its clock still is apart
         self._channels.start()
         if self._channels.notice:
             text = f"channel numbers in the messages do not name the sides: {self._channels.notice}"
@@ -119,6 +127,12 @@ class JsfRecording:
         if self._choice:
             text = f"of several frequencies one is used: {self._choice}"
             self._notify("reader.frequency_chosen", text, self._file.path.name)
+        for kind, apart_ns in self._apart_ns.items():
+            text = (
+                f"the clock of navigation (type {kind}) is {1e-9 * apart_ns:+.1f} s off that of the pings, which is "
+                "taken off; set the clocks of sonar and navigation to UTC"
+            )
+            self._notify("reader.packet_time_doubted", text, self._file.path.name)
         order = TimeOrder[Recorded](self._own)
         for framed in self._file:
             if framed.message.message_type in (PRESSURE, DOPPLER) and self._last_ns is not None:
@@ -177,14 +191,20 @@ class JsfRecording:
         """List the side-scan subsystems at the beginning of the file, without those of a few damaged headers."""
         seen: Counter[int] = Counter()
         self._probed: list[JsfMessage] = []
+        clocks = {NMEA_STRING: _Clock(), PITCH_ROLL: _Clock()}
         for framed in self._file:
-            if _is_any_channel(framed.message):
+            if framed.message.message_type in clocks and len(framed.message.body) >= _STRING_AT:
+                clocks[framed.message.message_type].hear(*_TIME.unpack_from(framed.message.body))
+            elif _is_any_channel(framed.message):
                 self._probed.append(framed.message)
                 seen[framed.message.subsystem] += 1
                 header = SideScanHeader(*DATA_HEADER.unpack_from(framed.message.body))
                 self._has_clock = self._has_clock or header.utc_s > 0.0
+                for clock in clocks.values():
+                    clock.ping(header.utc_s)
                 if seen.total() >= _PROBE_MESSAGES or framed.offset > _PROBE_BYTES:
                     break
+        self._apart_ns = {kind: apart_ns for kind, clock in clocks.items() if (apart_ns := clock.apart_ns())}
         needed = _STRAY_FRACTION * max(seen.values(), default=0)
         return sorted(subsystem for subsystem, n_messages in seen.items() if n_messages >= needed)
 
@@ -277,8 +297,7 @@ class JsfRecording:
         if len(body) <= _STRING_AT:
             self._own["reader.short"] += 1
             return None
-        seconds, milliseconds = _TIME.unpack_from(body)
-        time_ns = self._time_ns(seconds, milliseconds, offset)
+        time_ns = self._sensor_ns(NMEA_STRING, body, offset)
         return (
             None if time_ns is None else _received(NMEA_PORT, body[_STRING_AT:].rstrip(b"\0\r\n ") + b"\r\n", time_ns)
         )
@@ -287,8 +306,7 @@ class JsfRecording:
         if len(body) < _ATTITUDE.size:
             self._own["reader.short"] += 1
             return None
-        seconds, milliseconds = _TIME.unpack_from(body)
-        time_ns = self._time_ns(seconds, milliseconds, offset)
+        time_ns = self._sensor_ns(PITCH_ROLL, body, offset)
         if time_ns is None:
             return None
         pitch, roll, heading, validity = _ATTITUDE.unpack_from(body)
@@ -299,6 +317,23 @@ class JsfRecording:
             pitch_rad=math.pi * pitch / 32768.0 if validity & _PITCH_VALID else NAN,
         )
         return _received(MOTION_PORT, sentence(body_of(record)), time_ns)
+
+    def _sensor_ns(self, kind: int, body: bytes, offset: int) -> int | None:
+        """Return the time of a navigation message of a type by the clock of the pings, ns since 1970."""
+        seconds, milliseconds = _TIME.unpack_from(body)
+        time_ns = self._time_ns(seconds, milliseconds, offset)
+        last_ns, apart_ns = self._last_ns, self._apart_ns.get(kind, 0)
+        if time_ns is None or not apart_ns:
+            return time_ns
+        judged_ns, is_apart = self._judged.get(kind, (None, True))
+        if last_ns != judged_ns and last_ns is not None:  # by the first message behind a ping, as pings may pause
+            off_ns = abs(time_ns - apart_ns - last_ns)
+            is_apart = off_ns <= _APART_S * 1e9 or off_ns < abs(time_ns - last_ns)
+            self._judged[kind] = last_ns, is_apart
+        if not is_apart:
+            return time_ns  # a clock was set meanwhile
+        self._own["reader.packet_time_doubted"] += 1
+        return time_ns - apart_ns
 
     def _time_ns(self, seconds: int, milliseconds: int, offset: int) -> int | None:
         """Return the time since 1970; None, counted, for a clock that was never set."""
@@ -322,6 +357,33 @@ class JsfRecording:
 
 def _is_any_channel(message: JsfMessage) -> bool:
     return is_side_scan(message._replace(channel=PORT)) and message.channel <= _MAX_CHANNEL
+
+
+class _Clock:
+    """Learn how far a clock of navigation is off that of the pings, by where its messages stand among them."""
+
+    def __init__(self) -> None:
+        self._ping_s = 0.0
+        self._heard_s: list[float] = []  # since the newest ping
+        self._apart_s: list[tuple[float, float]] = []  # from the middle of two pings, and beyond both
+
+    def ping(self, time_s: float) -> None:
+        """Take the time of a side of a ping, 0 for none."""
+        if self._ping_s > 0.0 < time_s:
+            middle_s, half_s = 0.5 * (self._ping_s + time_s), 0.5 * abs(time_s - self._ping_s)
+            self._apart_s += [(heard_s - middle_s, abs(heard_s - middle_s) - half_s) for heard_s in self._heard_s]
+        self._ping_s, self._heard_s = time_s, []
+
+    def hear(self, seconds: int, milliseconds: int) -> None:
+        """Take the time in a navigation message."""
+        if seconds > 0.0 < self._ping_s and len(self._heard_s) < _MAX_HEARD:
+            self._heard_s.append(seconds + 1e-3 * (milliseconds % 1000))
+
+    def apart_ns(self) -> int:
+        """Return by how much the clock of navigation is ahead, 0 where the difference is that of any recorder."""
+        if len(self._apart_s) < _MIN_APART or median(beyond_s for _, beyond_s in self._apart_s) <= _APART_S:
+            return 0
+        return round(1e9 * median(apart_s for apart_s, _ in self._apart_s))
 
 
 class _Channels:

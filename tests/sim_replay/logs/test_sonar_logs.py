@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from auv_mcm.errors import BadInputError, UsageError
+from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import NavSample, Notice, Ping
 from auv_mcm.settings.config import Config, SonarConfig
 from drivers.framing import Framer
@@ -227,6 +228,44 @@ def test_a_clock_set_back_in_a_log_costs_no_ping(tmp_path: Path) -> None:
     assert any(isinstance(event, Notice) and event.code == "reader.time_backwards" for event in events)
     late = [event for event in events if isinstance(event, NavSample) and event.time_s < UTC_S - 1000.0]
     assert sum(math.isfinite(event.latitude_deg) for event in late) > 50
+
+
+@pytest.mark.parametrize("by_s", [-20.0, -3.0, 0.0, 3.0, 3600.0])
+def test_a_clock_of_navigation_that_is_off_that_of_the_pings_costs_no_position(tmp_path: Path, by_s: float) -> None:
+    whole = written("jsf", tmp_path / "whole").read_bytes()
+    path = tmp_path / "log"
+    path.write_bytes(
+        b"".join(moved(f, by_s) if f.message.message_type == 2002 else jsf_wire(f.message) for f in _jsf(whole))
+    )
+    log, pipeline = open_log(path, Config()), Pipeline(Config())
+    events = list(log)
+    for event in events:
+        pipeline.feed(event)
+    pipeline.finish()
+    assert pipeline.counters["navigation.ping_stale"] == log.counters["reader.time_backwards"] == 0
+    codes = [event.code for event in events if isinstance(event, Notice)]
+    assert codes == ["reader.packet_time_doubted"] * (abs(by_s) > 1.0)
+    found, truth = (
+        np.array([(e.time_s, e.latitude_deg) for e in some if isinstance(e, NavSample) and e.latitude_deg > 0.0])
+        for some in (events, open_log(tmp_path / "whole", Config()))
+    )
+    off_deg = np.abs(found[:, 1] - np.interp(found[:, 0], *truth.T))
+    assert off_deg.max() * 111_200.0 < 0.2, "metres: a tenth of a second"
+
+
+def test_a_clock_of_navigation_that_is_off_stays_so_while_the_sonar_is_silent(tmp_path: Path) -> None:
+    whole = written("jsf", tmp_path / "whole").read_bytes()
+    parts = [
+        moved(f, -3.0) if f.message.message_type == 2002 else jsf_wire(f.message)
+        for f in _jsf(whole)
+        if f.message.message_type == 2002 or not 6.0 <= struct.unpack_from("<i", f.message.body)[0] - UTC_S < 13.0
+    ]
+    path = tmp_path / "log"
+    path.write_bytes(b"".join(parts))
+    log = open_log(path, Config())
+    assert len(pings(iter(log))) == 124
+    assert log.counters["reader.packet_time_doubted"] == sum(f.message.message_type == 2002 for f in _jsf(whole))
+    assert log.counters["reader.time_backwards"] == log.counters["reader.time_outlier"] == 0
 
 
 def test_one_impossible_time_is_left_out(tmp_path: Path) -> None:
