@@ -394,7 +394,7 @@ def _navigation(header: SideScanHeader, time_s: float, *, is_fix: bool) -> NavSa
         time_s=time_s,
         latitude_deg=latitude_deg,
         longitude_deg=longitude_deg,
-        heading_rad=_valued(header, Validity.HEADING, math.radians(0.01 * header.heading_cdeg)),
+        heading_rad=_valued(header, Validity.HEADING, math.radians(header.heading_deg)),
         pitch_rad=_valued(header, Validity.PITCH_ROLL, math.pi * header.pitch_counts / 32768.0),
         roll_rad=_valued(header, Validity.PITCH_ROLL, math.pi * header.roll_counts / 32768.0),
         depth_m=_valued(header, Validity.DEPTH, 1e-3 * header.depth_mm),

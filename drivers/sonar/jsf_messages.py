@@ -157,6 +157,11 @@ class SideScanHeader(NamedTuple):
         return 1e-9 * (self.interval_ns + (self.lsb_1 & 0xFF) / 256.0)
 
     @property
+    def heading_deg(self) -> float:
+        """Return the heading, which older sonars state from -180 to 180 degrees."""
+        return 0.01 * (self.heading_cdeg if self.heading_cdeg <= 36_000 else self.heading_cdeg - 65_536) % 360.0
+
+    @property
     def stated_sound_speed_mps(self) -> float | None:
         """Return the sound speed where the message states one that is water's."""
         is_valid = self.validity & Validity.SOUND_SPEED and 1300.0 <= self.sound_speed_mps <= 1700.0

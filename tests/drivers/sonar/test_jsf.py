@@ -219,6 +219,13 @@ def test_only_what_is_valid_is_reported() -> None:
         assert math.isnan(frame.navigation.latitude_deg + frame.navigation.longitude_deg)
 
 
+@pytest.mark.parametrize(("degrees", "given"), [(-90.0, 270.0), (-0.5, 359.5), (180.0, 180.0), (359.99, 359.99)])
+def test_a_heading_of_a_half_turn_to_either_side_is_read(degrees: float, given: float) -> None:
+    (frame,) = frames_of(JsfDecoder(), side(0, validity=Validity.HEADING, heading_cdeg=round(100 * degrees) & 0xFFFF))
+    assert frame.navigation is not None
+    assert math.degrees(frame.navigation.heading_rad) == pytest.approx(given)
+
+
 def test_a_position_repeated_until_the_next_fix_is_reported_once() -> None:
     """Ten pings a second with a receiver of one fix a second; then the vehicle lies still."""
     decoder = JsfDecoder()
