@@ -26,7 +26,7 @@ from sim_replay.logs.xtf_header import LATITUDE_LONGITUDE, kind_name, name_chann
 from sim_replay.logs.xtf_layout import PROBE_PINGS, Layout, NoSideScanError, learn_layout, raise_notices
 from sim_replay.logs.xtf_navigation import Place, are_degrees, projection
 from sim_replay.logs.xtf_packets import FILE_FORMAT, HEADER_BLOCK, FileHeader, XtfPacket, header_bytes, read_packets
-from sim_replay.logs.xtf_pings import PingReader
+from sim_replay.logs.xtf_pings import PingReader, RawPing, read_ahead
 from sim_replay.logs.xtf_probe import learn_change, learn_fields, learn_orders
 from sim_replay.logs.xtf_records import Echoes, HeaderNavigation
 from sim_replay.logs.xtf_report import LogReport
@@ -129,9 +129,12 @@ class XtfLog:
             by_value = reader.layout.is_in_metres and self._project is None
             nav_units = reader.layout.header.NavUnits if by_value else None
             fields = learn_fields(probe, reader.packets.kinds, nav_units, report)
+            pings: Iterator[RawPing] = chain(probe, raw_pings)
+            if any(fields.wanted) and reader.packets.kinds:
+                pings = read_ahead(pings)
             navigation = HeaderNavigation(fields, reader.packets, place_deg, report)
             echoes = Echoes(learn_orders(probe, self._sonar, report), self._sonar.sound_speed_mps, report)
-            for number, (time_s, raw) in enumerate(spread_ties(chain(probe, raw_pings), report.counters)):
+            for number, (time_s, raw) in enumerate(spread_ties(pings, report.counters)):
                 self.bytes_read = reader.bytes_read
                 yield from report.take()
                 yield from reader.packets.until(time_s, raw.offset, fields.wanted, place_deg, report)

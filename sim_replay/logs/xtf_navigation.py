@@ -28,6 +28,7 @@ _HEADING_FIRST: Final = (GYRO, RAW_NAVIGATION, ATTITUDE, SERIAL)
 _LEVEL_FIRST: Final = (ATTITUDE, RAW_NAVIGATION, SERIAL)
 _MAX_WAITING: Final = 1 << 15  # packets before the next ping: a minute of five units at 100 Hz
 _AHEAD_S: Final = 5.0  # s by which a packet may be later than the ping behind it in the file: recorders keep a second
+LATE_S: Final = 2.0  # s by which recorders write some packets later than others (chosen)
 _BEHIND_S: Final = 600.0  # s before the ping ahead of it, for packets in blocks; time zones are 900 s apart (chosen)
 _DAY: Final = Struct("<HBBBBB")  # year, month, day, hour, minute, second
 _RAW: Final = Struct("<H2d8x2f4xf")  # tenths of a millisecond, Y, X, pitch, roll, then heading, behind the day
@@ -179,14 +180,7 @@ class PacketQueue:
         report
             Takes the count of doubted times, and a notice.
         """
-        before_s, self._ping_s = min(self._ping_s, time_s), time_s
-        while self._waiting:
-            packet_offset, packet = self._waiting[0]
-            earliest_s = (time_s if packet_offset > offset else before_s) - _BEHIND_S
-            is_sound = earliest_s <= packet.time_s <= time_s + _AHEAD_S
-            if packet.time_s > time_s if is_sound else packet_offset > offset:
-                return
-            self._waiting.popleft()
+        for packet_offset, packet, is_sound in self._due(time_s, offset):
             if not is_sound and math.isfinite(packet.time_s):
                 report.counters["reader.packet_time_doubted"] += 1
                 text = (
@@ -213,6 +207,26 @@ class PacketQueue:
                 pitch_rad=math.radians(packet.pitch_deg) if level else NAN,
                 roll_rad=math.radians(packet.roll_deg) if level else NAN,
             )
+
+    def _due(self, time_s: float, offset: int) -> list[tuple[int, PacketNavigation, bool]]:
+        """Take the packets that count up to a ping, in order of time, each with its byte and whether its time is sound.
+
+        Recorders write some packets later than others: those behind one that has to wait are looked at as well.
+        """
+        before_s, self._ping_s = min(self._ping_s, time_s), time_s
+        due, later = [], []
+        while self._waiting:
+            packet_offset, packet = self._waiting.popleft()
+            earliest_s = (time_s if packet_offset > offset else before_s) - _BEHIND_S
+            is_sound = earliest_s <= packet.time_s <= time_s + _AHEAD_S
+            if packet.time_s > time_s if is_sound else packet_offset > offset:
+                later.append((packet_offset, packet))
+                if not is_sound or packet.time_s > time_s + LATE_S:
+                    break
+            else:
+                due.append((packet_offset, packet, is_sound))
+        self._waiting.extendleft(reversed(later))
+        return sorted(due, key=lambda item: item[1].time_s if item[2] else time_s)
 
     def _serves(self, quantity: str, packet: PacketNavigation) -> bool:
         return self._kinds.get(quantity) == packet.kind

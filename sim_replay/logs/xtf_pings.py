@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Iterator
 from typing import Any, BinaryIO, Final, NamedTuple
 
@@ -15,10 +16,11 @@ from sim_replay.logs.xtf_channels import PacketHead, belongs
 from sim_replay.logs.xtf_fields import ChannelHeader, PingHeader, number_or_nan, ping_header, ping_time
 from sim_replay.logs.xtf_header import kind_name
 from sim_replay.logs.xtf_layout import SONAR, Extent, Layout, extents, packet_head
-from sim_replay.logs.xtf_navigation import NAVIGATION_KINDS, PacketQueue, utc_seconds
+from sim_replay.logs.xtf_navigation import LATE_S, NAVIGATION_KINDS, PacketQueue, utc_seconds
 from sim_replay.logs.xtf_packets import DamagedBytes, FileHeader, XtfPacket, read_packets
 from sim_replay.logs.xtf_report import LogReport
 
+_MAX_AHEAD: Final = 64  # pings read ahead, which bounds memory: two seconds of 30 a second
 _MAX_DURATION_S: Final = 5.0  # s of a trace, 3750 m; a longer one is damage
 
 
@@ -206,6 +208,16 @@ class PingReader:
         text = "the slant range is 0; it is computed from the duration of the trace and the sound speed"
         report.notify_once("reader.range_from_duration", text, place)
         return 0.5 * header.TimeDuration * sound_speed_mps(number_or_nan(stored), place, report)
+
+
+def read_ahead(pings: Iterator[RawPing]) -> Iterator[RawPing]:
+    """Give pings once those after them are read, and with them navigation packets that were written late."""
+    held: deque[RawPing] = deque()
+    for ping in pings:
+        held.append(ping)
+        while len(held) > _MAX_AHEAD or ping.time_s - held[0].time_s > LATE_S:
+            yield held.popleft()
+    yield from held
 
 
 def sound_speed_mps(stored: float, place: str, report: LogReport) -> float:

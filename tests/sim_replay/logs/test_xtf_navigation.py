@@ -69,6 +69,20 @@ def test_a_clock_of_navigation_that_is_hours_off_or_once_wrong_costs_no_position
     assert ("reader.packet_time_doubted" in codes_of(events)) == bool(hours)
 
 
+@pytest.mark.parametrize("n_late", [1, 3, 12])
+def test_a_position_written_behind_later_pings_is_not_lost(tmp_path: Path, n_late: int) -> None:
+    path = in_packets(tmp_path / "log.xtf", 0, None)
+    data = path.read_bytes()
+    starts = packet_offsets(data)
+    packets = [data[start:end] for start, end in zip(starts, [*starts[1:], len(data)], strict=True)]
+    places, pings = [b"", *packets[2::2]], packets[1::2]
+    late = [b""] * n_late + places
+    path.write_bytes(data[: starts[0]] + packets[0] + b"".join(ping + late[n] for n, ping in enumerate(pings)))
+    times_s = [sample.time_s for sample in navigation_of(read(path)[0])]
+    assert times_s == sorted(times_s)
+    assert len(fixes_of(read(path)[0])) == N_PINGS - n_late
+
+
 def test_attitude_in_packets_107_stands_behind_the_height(tmp_path: Path) -> None:
     path = in_packets(tmp_path / "log.xtf", 0, None)
 
