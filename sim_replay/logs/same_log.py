@@ -77,11 +77,15 @@ class PingsOnce:
 
     def of(self, events: Iterable[SourceEvent]) -> Iterator[SourceEvent]:
         """Yield the events of the next log, without what was read before."""
-        known: set[int] | None = None  # not needed for a log that begins later than all before ended
+        # Of pings before; empty for a log that begins later than all before ended, of which nothing is held back.
+        known: set[int] | None = None if self._marks else set()
         own, held, newest_s, self.n_repeated = array("q"), list[SourceEvent](), self._newest_s, 0
         for event in events:
             if not isinstance(event, Ping):
-                held.append(event)
+                if known is None or known:
+                    held.append(event)
+                else:
+                    yield event
                 continue
             if known is None:
                 known = set(self._marks) if event.time_s <= self._newest_s else set()

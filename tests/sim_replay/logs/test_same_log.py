@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import islice
 from pathlib import Path
 
 from msgspec import structs
@@ -9,6 +10,7 @@ from msgspec import structs
 from auv_mcm.records import NavSample, Notice, Ping
 from auv_mcm.settings.config import Config, SonarConfig
 from sim_replay.logs.recorded import RecordedMission
+from sim_replay.logs.same_log import PingsOnce
 from tests.sim_replay.logs.xtf_logs import mission, written
 
 
@@ -39,6 +41,12 @@ def test_pings_that_two_files_share_count_once(tmp_path: Path) -> None:
     assert times_s == sorted(set(times_s))
     assert len(times_s) == 40
     assert [event.code for event in read if isinstance(event, Notice)].count("log_repeated") == 1
+
+
+def test_navigation_is_not_gathered_until_the_sonar_pings() -> None:
+    times_s = iter(range(100))
+    assert len(list(islice(PingsOnce().of(NavSample(time_s=n) for n in times_s), 3))) == 3
+    assert len(list(times_s)) == 97
 
 
 def test_the_same_pings_in_another_file_are_left_out(tmp_path: Path) -> None:
