@@ -134,11 +134,13 @@ class JsfRecording:
             )
             self._notify("reader.packet_time_doubted", text, self._file.path.name)
         order = TimeOrder[Recorded](self._own)
+        sensor: JsfMessage | None = None  # whose sound speed the decoder of the sonar takes, once there is a ping
         for framed in self._file:
-            if framed.message.message_type in (PRESSURE, DOPPLER) and self._last_ns is not None:
-                # The decoder of the sonar takes the sound speed.
-                yield from order.add(_received(SONAR_PORT, to_wire(framed.message), self._last_ns))
+            sensor = framed.message if framed.message.message_type in (PRESSURE, DOPPLER) else sensor
             recorded = self._recorded(framed.message, framed.offset)
+            if sensor is not None and self._last_ns is not None:
+                yield from order.add(_received(SONAR_PORT, to_wire(sensor), self._last_ns))
+                sensor = None
             if recorded is not None:
                 yield from order.add(recorded)
         yield from order.finish()
@@ -235,7 +237,7 @@ class JsfRecording:
             return self._of_motion(message.body, offset)
         if sound_speed_in(message) is not None:
             self._n_without_speed -= self._n_without_speed == self._n_pings
-        if message.message_type == PRESSURE and self._last_ns is not None:
+        if message.message_type == PRESSURE:
             return None
         if message.message_type == DOPPLER and self._last_ns is not None:
             return self._of_doppler(message)

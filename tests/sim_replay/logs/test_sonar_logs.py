@@ -164,18 +164,23 @@ def test_each_bit_of_a_doppler_log_stands_for_its_own_quantity(tmp_path: Path, b
     assert found[given][0] == pytest.approx(found[given][1], abs=0.01)
 
 
-def test_the_sound_speed_of_a_doppler_log_scales_ranges(tmp_path: Path) -> None:
-    doppler = jsf_wire(JsfMessage(2080, struct.pack("<56xH14x", 1450), subsystem=101))
-    parts = []
+@pytest.mark.parametrize(
+    ("kind", "body"), [(2080, struct.pack("<56xH14x", 1450)), (2060, struct.pack("<32xI40x", 1_450_000))]
+)
+@pytest.mark.parametrize("once", [False, True])
+def test_the_sound_speed_of_a_sensor_scales_ranges_even_if_stated_once(
+    tmp_path: Path, kind: int, body: bytes, once: bool
+) -> None:
+    sensor = jsf_wire(JsfMessage(kind, body, subsystem=101))
+    parts = [sensor]
     for framed in _jsf(written("jsf", tmp_path / "whole").read_bytes()):
-        message, body = framed.message, bytearray(framed.message.body)
+        message, changed = framed.message, bytearray(framed.message.body)
         if message.message_type == 80:
-            body[31] &= ~(1 << 6)  # validity, bit 14: no sound speed
-        parts.append(jsf_wire(message._replace(body=bytes(body))) + doppler * (message.message_type == 80))
+            changed[31] &= ~(1 << 6)  # validity, bit 14: no sound speed
+        parts.append(jsf_wire(message._replace(body=bytes(changed))) + sensor * (not once))
     path = tmp_path / "log"
     path.write_bytes(b"".join(parts))
-    first, *_, last = (ping.port.spacing_m for ping in pings(iter(open_log(path, Config()))) if ping.port)
-    assert last == pytest.approx(first * 1450.0 / 1500.0)
+    assert {ping.sound_speed_mps for ping in pings(iter(open_log(path, Config())))} == {1450.0}
 
 
 def test_a_sound_speed_that_is_called_valid_and_is_0_counts_as_none(tmp_path: Path) -> None:
