@@ -42,7 +42,7 @@ ports:
   - name: ins
     link: serial:///dev/ttyUSB0?baud=115200
     device: pixse
-    navigation: {priority: 0, roll_sign: -1, latency_s: 0.02}
+    navigation: {priority: 0, pitch_sign: -1, latency_s: 0.02}
 
   - name: dvl
     link: serial:///dev/ttyUSB1?baud=115200

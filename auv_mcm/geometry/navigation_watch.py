@@ -14,6 +14,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from auv_mcm.geometry.fix import Fix, chord_m, course_rad, fix_at
+from auv_mcm.geometry.pitch_watch import PitchWatch
 from auv_mcm.records import NavSample, Notice
 
 _CHORD_M: Final = 2.0  # as of course made good: well above the rounding of fixes
@@ -62,7 +63,8 @@ class NavigationWatch:
     """Raise notices about navigation that cannot go on so, each once in a mission.
 
     A heading that drifts away from the course, no heading with fixes that scatter, a position that stands still at a
-    reported speed, a time that leaps ahead while the vehicle went on, altitudes below 0, and depths above the surface.
+    reported speed, a time that leaps ahead while the vehicle went on, altitudes below 0, depths above the surface, and
+    a pitch of the wrong sign.
     """
 
     def __init__(self) -> None:
@@ -77,12 +79,13 @@ class NavigationWatch:
         self._last: _Moment | None = None
         self._before_leap: _Moment | None = None
         self._n_below = {"altitude": 0, "depth": 0}
+        self._pitch = PitchWatch()
 
     def add(self, sample: NavSample) -> list[Notice]:
         """Take a sample; return the notices that it raises."""
         if not math.isfinite(sample.time_s):
             return []
-        found = self._check_vertical(sample)
+        found = self._check_vertical(sample) + self._pitch.add(sample)
         if math.isfinite(sample.speed_mps):
             self._speed_mps = abs(sample.speed_mps)
         if math.isfinite(sample.heading_rad):
