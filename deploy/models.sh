@@ -3,7 +3,7 @@
 # Each goes into the package as soon as it is made, since those after it are fitted with it. The manifest says of each
 # what made it, how long that took, its SHA-256, and whether it is the file of the last commit.
 #     sh deploy/models.sh [FOLDER]     (default out-models; a second run goes on where the first was interrupted)
-# Takes hours on two cores. Afterwards run `.venv/bin/python -m tests.golden --update`, and the tests.
+# Takes some seven hours on two cores. Afterwards run `.venv/bin/python -m tests.golden --update`, and the tests.
 set -eu
 cd "$(dirname "$0")/.."
 made=${1:-out-models}
