@@ -171,13 +171,14 @@ class Pd6Unit:
         if first is None:
             return []
         fix_fields: dict[str, Any] = {}
-        lock = all(
+        are_good = [
             line.good for line in group.values() if isinstance(line, InstrumentVelocity | ShipVelocity | EarthVelocity)
-        )
+        ]
+        lock = any(are_good) or not are_good  # in axes that a DVL does not know it calls the same velocity bad
         if not lock:
             self._own["pd6.no_bottom_lock"] += 1
         for kind in (Pd6Attitude, Water, InstrumentVelocity, ShipVelocity, EarthVelocity, Bottom):
-            if kind in group:
+            if kind in group and getattr(group[kind], "good", True):
                 fix_fields.update(_fix_fields(group[kind]))
         if not lock:
             fix_fields.update(altitude_m=NAN, valid=False)

@@ -133,6 +133,26 @@ def test_without_bottom_lock_there_is_neither_velocity_nor_altitude() -> None:
     assert unit.counters["pd6.no_bottom_lock"] == 1
 
 
+def test_a_velocity_that_is_bad_in_some_axes_alone_is_used_in_the_others() -> None:
+    """A DVL without a compass, as Water Linked's, calls the velocity along earth's axes bad."""
+    lines = [
+        b":SA, +1.50, -2.00,  0.00\r\n",
+        b":TS,22020812061800, 0.0, +0.0,   0.0,1475.0,  0\r\n",
+        b":BI,  +123,  -420, +2000,    +0,A\r\n",
+        b":BS,  -420,  +123, +2000,A\r\n",
+        b":BE,    +0,    +0,    +0,V\r\n",
+        b":BD,       +0.00,       +0.00,       +0.00,   5.32,  0.00\r\n",
+    ]
+    unit = pd6.Pd6Unit("dvl")
+    [fix] = fed(unit, [b"".join(lines)])
+    assert fix.valid
+    assert fix.speed_mps == pytest.approx(math.hypot(0.42, 0.123))
+    assert fix.drift_rad == pytest.approx(math.atan2(-0.42, 0.123))
+    assert math.isnan(fix.course_rad)
+    assert fix.altitude_m == 5.32
+    assert unit.counters["pd6.no_bottom_lock"] == 0
+
+
 def test_a_group_with_lost_lines_is_delivered_as_far_as_it_came() -> None:
     without_end = b"".join(PD6_LINES[:4])
     fixes = fed(pd6.Pd6Unit("dvl"), [without_end, GROUP])
