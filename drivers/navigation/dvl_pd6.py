@@ -182,6 +182,11 @@ class Pd6Unit:
                 fix_fields.update(_fix_fields(group[kind]))
         if not lock:
             fix_fields.update(altitude_m=NAN, valid=False)
+        water, attitude = group.get(Water), group.get(Pd6Attitude)
+        if water is not None and not (water.salinity_ppt or water.temperature_c or water.depth_m):
+            fix_fields["depth_m"] = NAN  # zeros stand for no sensor, as in Water Linked's PD6
+            if attitude is not None and not any(attitude):
+                fix_fields.update(heading_rad=NAN, pitch_rad=NAN, roll_rad=NAN)
         return [NavFix(source=self._source, received=first.received, n_bytes=first.n_bytes, **fix_fields)]
 
 

@@ -133,6 +133,17 @@ def test_without_bottom_lock_there_is_neither_velocity_nor_altitude() -> None:
     assert unit.counters["pd6.no_bottom_lock"] == 1
 
 
+def test_zeros_that_stand_for_no_sensor_are_no_attitude_and_no_depth() -> None:
+    """Water Linked's DVL fills the fields that it does not measure with zeros."""
+    zeros = b":SA, +0.00, +0.00,  0.00\r\n:TS,22020812061800, 0.0, +0.0,   0.0,1475.0,  0\r\n"
+    [fix] = fed(pd6.Pd6Unit("dvl"), [zeros])
+    assert all(math.isnan(value) for value in (fix.heading_rad, fix.pitch_rad, fix.roll_rad, fix.depth_m))
+    assert fix.time_utc_s == 1_644_321_978.0
+    at_the_surface = b":SA, +0.00, +0.00,  0.00\r\n:TS,22020812061800,35.0, +0.0,   0.0,1475.0,  0\r\n"
+    [fix] = fed(pd6.Pd6Unit("dvl"), [at_the_surface])
+    assert (fix.heading_rad, fix.pitch_rad, fix.roll_rad, fix.depth_m) == (0.0, 0.0, 0.0, 0.0)
+
+
 def test_a_velocity_that_is_bad_in_some_axes_alone_is_used_in_the_others() -> None:
     """A DVL without a compass, as Water Linked's, calls the velocity along earth's axes bad."""
     lines = [
