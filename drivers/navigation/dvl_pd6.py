@@ -31,6 +31,7 @@ _CANDIDATES: Final = MessageCandidates(
     reasons=("interrupted", "oversize", "interrupted", "non_ascii", "malformed"),
 )
 _NUMBER: Final = re.compile(r" *[+-]? *(?:\d+\.?\d*|\.\d+) *")
+_BIT: Final = re.compile(r" *([0-9A-Fa-f]{1,4}) *")  # how many errors and one's code, as 12A: Pathfinder DVL Guide
 _BAD_VELOCITY: Final = -32768.0  # mm/s: what PD6 gives for a velocity that is not measured
 _MAX_VELOCITY_MM_S: Final = 20_000.0  # mm/s: faster than any vehicle or lock on the bottom
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
@@ -52,7 +53,7 @@ class Water(NamedTuple):
     temperature_c: float
     depth_m: float
     sound_speed_mps: float
-    bit: float = 0.0
+    bit: int = 0
 
 
 class InstrumentVelocity(NamedTuple):
@@ -223,10 +224,11 @@ def parse_line(kind: str, fields: str) -> Line | None:
             return Pd6Attitude(math.radians(pitch), math.radians(roll), math.radians(heading))
         case "TS":
             time_utc_s = _read_time(texts[0])
-            salinity, temperature, depth, sound_speed, bit = _numbers(texts[1:], 5, (50.0, 60.0, 12_000.0, 1700.0, 1e6))
-            if sound_speed < 1300.0:
-                raise ValueError(f"sound speed {sound_speed}")
-            return Water(time_utc_s, salinity, temperature, depth, sound_speed, bit)
+            salinity, temperature, depth, sound_speed = _numbers(texts[1:-1], 4, (50.0, 60.0, 12_000.0, 1700.0))
+            bit = _BIT.fullmatch(texts[-1])
+            if sound_speed < 1300.0 or bit is None:
+                raise ValueError(f"sound speed {sound_speed}, result of the test {texts[-1]}")
+            return Water(time_utc_s, salinity, temperature, depth, sound_speed, int(bit[1], 16))
         case "BI":
             return InstrumentVelocity(*_velocities(texts, 4))
         case "BS":
@@ -247,7 +249,7 @@ def line_of(line: Line) -> bytes:
             hundredths = round(line.time_utc_s * 100.0)
             when = _EPOCH + timedelta(seconds=hundredths // 100)
             text = f":TS,{when:%y%m%d%H%M%S}{hundredths % 100:02d},{line.salinity_ppt:.1f},{line.temperature_c:+.1f}"
-            text += f",{line.depth_m:06.1f},{line.sound_speed_mps:06.1f},{line.bit:03.0f}"
+            text += f",{line.depth_m:06.1f},{line.sound_speed_mps:06.1f},{line.bit:03X}"
         case InstrumentVelocity() | ShipVelocity() | EarthVelocity():
             kind = {InstrumentVelocity: "BI", ShipVelocity: "BS", EarthVelocity: "BE"}[type(line)]
             *velocities, good = line

@@ -28,7 +28,7 @@ LINES: st.SearchStrategy[pd6.Line] = st.one_of(
         st.floats(-2, 40),
         st.floats(0, 6000),
         st.floats(1400, 1600),
-        st.just(0.0),
+        st.integers(0, 0xFFF),
     ),
     st.builds(pd6.InstrumentVelocity, VELOCITY, VELOCITY, VELOCITY, VELOCITY, st.just(True)),
     st.builds(pd6.ShipVelocity, VELOCITY, VELOCITY, VELOCITY, st.just(True)),
@@ -133,6 +133,15 @@ def test_without_bottom_lock_there_is_neither_velocity_nor_altitude() -> None:
     assert unit.counters["pd6.no_bottom_lock"] == 1
 
 
+@pytest.mark.parametrize("code", [b"12A", b"38A", b"1FF"])
+def test_a_failed_self_test_costs_neither_depth_nor_time(code: bytes) -> None:
+    """Teledyne's codes are hexadecimal: 0x2A a sensor's data stream, 0x8A a leak, 0xFF a power failure."""
+    unit = pd6.Pd6Unit("dvl")
+    [fix] = fed(unit, [b":TS,23111422132050,35.0,+14.0,0012.5,1500.0," + code + b"\r\n"])
+    assert (fix.depth_m, fix.time_utc_s) == (12.5, 1_700_000_000.5)
+    assert unit.counters["pd6.implausible"] == 0
+
+
 def test_zeros_that_stand_for_no_sensor_are_no_attitude_and_no_depth() -> None:
     """Water Linked's DVL fills the fields that it does not measure with zeros."""
     zeros = b":SA, +0.00, +0.00,  0.00\r\n:TS,22020812061800, 0.0, +0.0,   0.0,1475.0,  0\r\n"
@@ -180,6 +189,8 @@ def test_a_group_with_lost_lines_is_delivered_as_far_as_it_came() -> None:
         b":SA,+01.00,+00.00",
         b":TS,23131422132050,35.0,+14.0,0012.5,1500.0,000",
         b":TS,23111422132050,35.0,+14.0,0012.5,0150.0,000",
+        b":TS,23111422132050,35.0,+14.0,0012.5,1500.0,0G0",
+        b":TS,23111422132050,35.0,+14.0,0012.5,1500.0",
         b":BI,+99999,+00000,+00000,+00000,A",
         b":BI,+00001,+00000,+00000,+00000,X",
         b":BS,+00001,nan,+00000,A",
