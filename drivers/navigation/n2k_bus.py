@@ -175,8 +175,8 @@ class N2kBus:
     def _heading(self, record: Heading, talker: _Talker) -> dict[str, Any] | None:
         if math.isnan(record.heading_rad):
             return {"valid": False}
+        talker.sends_heading = True
         if record.reference == _TRUE:
-            talker.sends_heading = True
             return {"heading_rad": record.heading_rad}
         if record.reference != _MAGNETIC:
             self._own["n2k.heading_reference_unknown"] += 1
@@ -186,7 +186,6 @@ class N2kBus:
         if math.isnan(variation_rad):
             self._own["n2k.heading_magnetic"] += 1
             return None
-        talker.sends_heading = True
         deviation_rad = 0.0 if math.isnan(record.deviation_rad) else record.deviation_rad
         return {"heading_rad": (record.heading_rad + deviation_rad + variation_rad) % _TURN}
 
@@ -198,7 +197,7 @@ class _Talker:
         self.label = label
         self.name = name
         self.variation_rad = NAN
-        self.sends_heading = False  # then its yaw is the same once more, at best
+        self.sends_heading = False  # then its yaw is the same once more, magnetic if that is
         self.has_fix = True
         self._sid = NAN
         self._first: Stamp | None = None

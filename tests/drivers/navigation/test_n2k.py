@@ -178,6 +178,16 @@ def test_a_unit_that_sends_a_heading_is_not_heard_again_through_its_yaw() -> Non
     assert math.isnan(fix.heading_rad)
 
 
+@pytest.mark.parametrize("reference", [1.0, 2.0, NAN])
+def test_a_heading_that_is_not_known_to_be_true_is_not_taken_from_the_yaw_instead(reference: float) -> None:
+    """A compass sends the same angle in both, and PGN 127257 does not state the north it is from."""
+    bus = N2kBus("can")
+    assert sent(bus, n2k.Heading(NAN, 2.3154, NAN, NAN, reference)) == []
+    [fix] = sent(bus, n2k.Attitude(NAN, 2.3154, -0.2054, 0.1279))
+    assert math.isnan(fix.heading_rad)
+    assert (fix.pitch_rad, fix.roll_rad) == pytest.approx((-0.2054, 0.1279))
+
+
 @pytest.mark.parametrize("method", [0.0, 7.0, 8.0, NAN])
 def test_a_receiver_without_a_fix_gives_no_place_in_its_other_messages_either(method: float) -> None:
     bus = N2kBus("can")
