@@ -39,6 +39,7 @@ from drivers.vehicle.imc_messages import (
     PlanControlState,
     PlanManeuver,
     PlanSpecification,
+    PlanStatistics,
     PlanTransition,
     Reference,
     Target,
@@ -138,6 +139,7 @@ _ROWS: Final = (
     _layout(553, PlanTransition, *_times(3, "text"), Many()),
     _layout(559, PlanControl, "u8", "u8", "u16", "text", "u16", One(), "text"),
     _layout(560, PlanControlState, "u8", "text", "i32", "f32", "text", "u16", "i32", "u8"),
+    _layout(564, PlanStatistics, "text", "u8", "u8", *_times(4, "text")),
     _layout(800, Target, "text", "f64", "f64", "f32", "u8", "f32", "f32"),
     _layout(
         1700, MineContact, "u32", "u32", "u16", *_times(3, "f64"), *_times(3, "f32"), "u8", "u16", *_times(12, "f32")

@@ -273,6 +273,18 @@ class PlanSpecification(Message, frozen=True):
     end_actions: tuple[ImcMessage, ...] = ()
 
 
+class PlanStatistics(Message, frozen=True):
+    """Hold what a plan takes, in the answer that it is loaded. type: 0 before it, 1 meanwhile, 2 after it."""
+
+    plan_id: str
+    type: int = 0
+    properties: int = 0
+    durations: str = ""
+    distances: str = ""
+    actions: str = ""
+    fuel: str = ""
+
+
 class PlanControl(Message, frozen=True):
     """Request something of a plan, or answer.
 
@@ -378,6 +390,7 @@ ImcMessage: TypeAlias = (
     | PlanSpecification
     | PlanControl
     | PlanControlState
+    | PlanStatistics
     | Target
     | MineContact
     | MineContactTaken

@@ -259,6 +259,7 @@ class FakeImc:
                 message.op,
                 message.request_id,
                 message.plan_id,
+                arg=None if failed or message.op != PlanOp.START else imc.PlanStatistics(message.plan_id),
                 info=text,
             )
         )

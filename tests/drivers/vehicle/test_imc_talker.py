@@ -26,7 +26,7 @@ from drivers.vehicle.imc_messages import (
     RefState,
     ZUnits,
 )
-from drivers.vehicle.imc_wire import ImcGrammar
+from drivers.vehicle.imc_wire import ImcGrammar, ImcPacket, to_wire
 from drivers.vehicle.talkers.imc_talker import PLAN_ID
 from drivers.vehicle.vehicles import talker_of
 from tests.drivers.vehicle.imc_talk import (
@@ -36,6 +36,7 @@ from tests.drivers.vehicle.imc_talk import (
     LEARNS,
     OTHER,
     US,
+    UTC_S,
     VEHICLE,
     Talk,
     estimated,
@@ -122,6 +123,18 @@ def test_answers_of_others_and_to_others_do_not_count() -> None:
     assert talk.dialect.counters["imc.other_source"] == 4
     assert talk.hear(succeeded(1), follow_state(), to=OTHER) == []
     assert [type(event) for event in talk.hear(succeeded(1), to=US)] == [Granted]
+
+
+def test_the_answer_of_dune_with_the_statistics_of_the_plan_counts() -> None:
+    talk = Talk()
+    talk.dialect.request(talk.now_s)
+    (start,) = talk.sent_of(imc.PlanControl)
+    name, info = b"\7\0auv_mcm", b"\x0b\0plan loaded"
+    statistics = b"\x34\2" + name + b"\0\4" + b"\x09\0Total=120" + 3 * b"\0\0"  # message 564
+    payload = b"\1\0" + start.request_id.to_bytes(2, "little") + name + b"\0\0" + statistics + info
+    packet = ImcPacket(559, payload, VEHICLE, destination=US, time_s=UTC_S + 3600.0 + talk.now_s)
+    assert talk.dialect.hear(to_wire(packet), stamp_at(talk.now_s)) == []
+    assert [type(event) for event in talk.hear(follow_state())] == [Granted]
 
 
 def test_a_request_is_sent_again_but_not_for_ever() -> None:
