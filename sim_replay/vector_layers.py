@@ -20,6 +20,7 @@ _WHOLE: Final = ("contacts", "track", "coverage", "clearance")
 _WAYPOINTS: Final = "waypoints"
 _NEEDED: Final = {"contacts": ("id", "p_mine", "class", "views")}
 _DATUM: Final = "WGS 84; depths are of the sea floor below the surface at the time, not reduced for tide"
+_EASTERNMOST_DEG: Final = 179.999999999  # 180 itself is no longitude (GPX 1.1, longitudeType); 0.1 mm
 
 Feature = Mapping[str, Any]
 
@@ -141,7 +142,7 @@ def _track(geometry: Mapping[str, Any]) -> str:
 
 
 def _at(point: Sequence[float]) -> str:
-    return f'lat="{point[1]:.9f}" lon="{point[0]:.9f}"'
+    return f'lat="{point[1]:.9f}" lon="{min(point[0], _EASTERNMOST_DEG):.9f}"'
 
 
 def _text(text: str) -> str:

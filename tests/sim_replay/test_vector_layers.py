@@ -19,7 +19,7 @@ from auv_mcm.records import CoveragePatch
 from sim_replay.geopackage import write_geopackage
 from sim_replay.mosaic import Box
 from sim_replay.qgis import write_project
-from sim_replay.vector_layers import read_layers
+from sim_replay.vector_layers import read_layers, write_gpx
 from tests.make.results import write_results
 from tests.sim_replay.report_samples import contact, waypoints
 
@@ -119,6 +119,16 @@ def test_gdal_reads_the_gpx_and_the_kml(results: Path, tmp_path: Path) -> None:
         "Clutter (1)": 1,
     }
     assert "snippets/C00001.png" in (results / "contacts.kml").read_text()
+
+
+def test_a_track_cut_at_the_antimeridian_has_longitudes_that_gpx_allows(tmp_path: Path) -> None:
+    pieces: Json = [[[179.9, 1.0], [180.0, 1.0]], [[-180.0, 1.0], [-179.9, 1.0]]]
+    track = feature({"type": "MultiLineString", "coordinates": pieces}, {})
+    write_gpx(tmp_path / "m.gpx", {"track": [track]}, "mission")
+    points = ElementTree.parse(tmp_path / "m.gpx").iter("{http://www.topografix.com/GPX/1/1}trkpt")
+    longitudes = [float(point.attrib["lon"]) for point in points]
+    assert longitudes == pytest.approx([179.9, 180.0, -180.0, -179.9])
+    assert all(-180.0 <= longitude < 180.0 for longitude in longitudes)
 
 
 def test_a_geopackage_is_whole_and_takes_any_name_and_value(tmp_path: Path) -> None:
