@@ -198,9 +198,9 @@ def _placemark(feature: Feature, style: str, picture: Callable[[str], str]) -> s
     time = properties.get("time")
     return (
         f"<Placemark><name>{_xml(str(properties['id']))}</name>"
+        f"<description>{_xml(f'{image}<table>{rows}</table>')}</description>"
         + (f"<TimeStamp><when>{_xml(time)}</when></TimeStamp>" if time else "")
-        + f"<styleUrl>#{style}</styleUrl><description>{_xml(f'{image}<table>{rows}</table>')}</description>"
-        + f"<ExtendedData>{data}</ExtendedData>{point}</Placemark>\n"
+        + f"<styleUrl>#{style}</styleUrl><ExtendedData>{data}</ExtendedData>{point}</Placemark>\n"
     )
 
 

@@ -345,9 +345,9 @@ def _kml_placemark(contact: Contact, style: str) -> list[str]:
     return [
         "<Placemark>",
         f"<name>{_xml(contact.id)}</name>",
-        f"<styleUrl>#{style}</styleUrl>",
-        *([f"<TimeStamp><when>{time}</when></TimeStamp>"] if time else []),
         f"<description>{_xml(_kml_table(contact))}</description>",
+        *([f"<TimeStamp><when>{time}</when></TimeStamp>"] if time else []),
+        f"<styleUrl>#{style}</styleUrl>",
         "<MultiGeometry>",
         *geometry,
         "</MultiGeometry>",

@@ -127,7 +127,12 @@ def test_what_people_wrote_stays_text_in_xml(results: Path, tmp_path: Path) -> N
 def test_a_kmz_carries_contacts_over_its_mosaic(results: Path, tmp_path: Path) -> None:
     write_kmz(tmp_path / "m.kmz", [], "mission", folders=kml_folders(read_layers(results)))
     tree = ElementTree.fromstring(zipfile.ZipFile(tmp_path / "m.kmz").read("doc.kml"))
-    assert sum(one.tag.endswith("Placemark") for one in tree.iter()) == 5
+    placemarks = [one for one in tree.iter() if one.tag.endswith("Placemark")]
+    assert len(placemarks) == 5
+    schema = ["name", "description", "TimeStamp", "styleUrl", "ExtendedData", "Point"]  # their order, OGC 07-147r2
+    for one in placemarks:
+        parts = [part.tag.split("}")[1] for part in one]
+        assert parts == [part for part in schema if part in parts]
 
 
 def test_annotations_of_a_picture_say_the_verdict(tmp_path: Path) -> None:

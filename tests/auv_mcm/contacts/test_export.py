@@ -284,6 +284,13 @@ def test_kml_is_xml_with_two_folders_whatever_the_names() -> None:
     assert len(ring.split()) == 37
 
 
+def test_the_parts_of_a_kml_placemark_stand_in_the_order_of_its_schema() -> None:
+    placemark = ElementTree.fromstring(contacts_kml([contact()])).find(f".//{KML}Placemark")
+    assert placemark is not None
+    order = ["name", "description", "TimeStamp", "styleUrl", "MultiGeometry"]  # AbstractFeatureType, OGC 07-147r2
+    assert [part.tag.removeprefix(KML) for part in placemark] == order
+
+
 def test_kml_error_ellipse_is_two_sigma_on_the_ground() -> None:
     text = contacts_kml([contact(latitude_deg=60.0, longitude_deg=10.0)])
     ring_text = ElementTree.fromstring(text).findtext(f".//{KML}LinearRing/{KML}coordinates")
