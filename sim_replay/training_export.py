@@ -118,7 +118,7 @@ def write_yolo(folder: Path, chips: list[Chip]) -> None:
         line = " ".join([str(CATEGORIES.index(chip.verdict.call)), *(f"{part:.6f}" for part in parts)])
         write_file(folder / "labels" / f"{Path(chip.name).stem}.txt", f"{line}\n".encode())
     names = "\n".join(f"  {number}: {call}" for number, call in enumerate(CATEGORIES))
-    write_file(folder / "data.yaml", f"path: .\ntrain: images\nval: images\nnames:\n{names}\n".encode())
+    write_file(folder / "data.yaml", f"train: images\nval: images\nnames:\n{names}\n".encode())
 
 
 def _write_images(folder: Path, chips: list[Chip]) -> None:

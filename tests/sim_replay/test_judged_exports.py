@@ -85,6 +85,8 @@ def test_chips_are_those_judged_mine_like_or_not_with_a_box_in_the_picture(tmp_p
     assert [one["category_id"] for one in coco["annotations"]] == [1, 1, 2]
     assert coco["annotations"][0]["attributes"]["comment"] == "Überlänge ✓"
     labels = sorted((tmp_path / "yolo" / "labels").iterdir())
+    described = (tmp_path / "yolo" / "data.yaml").read_text().splitlines()
+    assert described[:2] == ["train: images", "val: images"], "without `path`, folders are looked for beside the file"
     for image, annotation, label in zip(coco["images"], coco["annotations"], labels, strict=True):
         assert image["id"] == annotation["image_id"]
         picture = cv2.imread(str(tmp_path / "coco" / image["file_name"]))
