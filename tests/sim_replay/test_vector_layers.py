@@ -6,6 +6,7 @@ import json
 import shutil
 import sqlite3
 from collections.abc import Mapping
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -145,6 +146,9 @@ def test_a_geopackage_is_whole_and_takes_any_name_and_value(tmp_path: Path) -> N
         quoted = HOSTILE.replace('"', '""')
         rows = base.execute(f'SELECT "{quoted}", mixed, list, yes, geom IS NULL FROM "{quoted}"').fetchall()
         assert rows == [(1.0, "1", "[1, null]", None, 0), (2.5, "two", None, 1, 1)]
+        base.execute("INSERT INTO gpkg_contents (table_name, data_type) VALUES ('notes', 'attributes')")
+        (changed,) = base.execute("SELECT last_change FROM gpkg_contents WHERE table_name = 'notes'").fetchone()
+        assert datetime.fromisoformat(changed).year > 2000, "the standard's default, for programs that add a layer"
     finally:
         base.close()
     assert [path.name for path in tmp_path.iterdir()] == ["m.gpkg"]
