@@ -129,7 +129,7 @@ def write_kmz(
         text = (
             '<?xml version="1.0" encoding="UTF-8"?>\n<kml xmlns="http://www.opengis.net/kml/2.2">\n<Document>\n'
             f"<name>{escape(clean(name), quote=False)}</name>\n"
-            f"{''.join(overlays)}{''.join(folders)}</Document>\n</kml>\n"
+            f"{''.join(folders)}{''.join(overlays)}</Document>\n</kml>\n"
         )
         file.writestr("doc.kml", text, zipfile.ZIP_DEFLATED)
 

@@ -15,8 +15,9 @@ import pytest
 
 from auv_mcm.cli import main
 from auv_mcm.errors import UsageError
+from auv_mcm.settings.config import Config
 from sim_replay.mcap_export import write_mcap
-from sim_replay.mosaic import Box
+from sim_replay.mosaic import Box, Mosaic
 from sim_replay.mosaic_files import write_kmz
 from sim_replay.qgis import write_project
 from sim_replay.vector_layers import read_layers
@@ -25,7 +26,7 @@ from sim_replay.verdicts import Verdict, append_verdict
 from tests.make.results import write_results
 from tests.sim_replay.report_samples import contact, detection
 from tests.sim_replay.test_mcap_export import START_S, decoded, timed
-from tests.sim_replay.test_mosaic import ROW_M
+from tests.sim_replay.test_mosaic import ROW_M, tile
 from tests.sim_replay.test_vector_layers import HOSTILE, gdal_layers
 
 SCRIPT = "</value>]]><script>alert('x')</script>&amp;\"=1+1\x1b\u202e"
@@ -125,7 +126,9 @@ def test_what_people_wrote_stays_text_in_xml(results: Path, tmp_path: Path) -> N
 
 
 def test_a_kmz_carries_contacts_over_its_mosaic(results: Path, tmp_path: Path) -> None:
-    write_kmz(tmp_path / "m.kmz", [], "mission", folders=kml_folders(read_layers(results)))
+    mosaic = Mosaic(Config(), 0.25)
+    mosaic.add(tile())
+    write_kmz(tmp_path / "m.kmz", list(mosaic.levels()), "mission", folders=kml_folders(read_layers(results)))
     tree = ElementTree.fromstring(zipfile.ZipFile(tmp_path / "m.kmz").read("doc.kml"))
     placemarks = [one for one in tree.iter() if one.tag.endswith("Placemark")]
     assert len(placemarks) == 5
@@ -133,6 +136,10 @@ def test_a_kmz_carries_contacts_over_its_mosaic(results: Path, tmp_path: Path) -
     for one in placemarks:
         parts = [part.tag.split("}")[1] for part in one]
         assert parts == [part for part in schema if part in parts]
+    in_document = [part.tag.split("}")[1] for part in tree[0]]
+    assert list(dict.fromkeys(in_document)) == ["name", "Style", "Folder", "GroundOverlay"], (
+        "styles before what is shown"
+    )
 
 
 def test_annotations_of_a_picture_say_the_verdict(tmp_path: Path) -> None:
