@@ -29,7 +29,7 @@ _MAX_HELD: Final = 1024  # navigation samples kept until pings step back too, or
 _MAX_WITHOUT_PING: Final = 1 << 16
 # s of navigation without a ping, after which the segment ends: pings that a link holds up come sooner; chosen
 _QUIET_S: Final = 30.0
-_MAX_QUIET_STEP_S: Final = 1.0  # that a sample adds to it: a leap of its clock is no quiet
+_MAX_QUIET_STEP_S: Final = 1.0  # that a sample adds to it: its clock may leap
 _MIN_HELD: Final = 3  # in a row, by which navigation has stepped back: one or two are late, or a glitch
 _MIN_SEGMENT_GAP_S: Final = 2.0  # s without a ping that end a segment, whatever navigation may bridge
 _MIN_STEP_M: Final = 1e-3  # m between pings: keeps distances along the track increasing when the vehicle stands

@@ -63,7 +63,7 @@ def kept_alone(folder: Path, *, waits: bool = False) -> Iterator[None]:
 
 
 def log_entry(path: Path, n_bytes: int, folder: Path) -> dict[str, Any]:
-    """Name a log in the summary of the results in `folder`, also one whose name is no valid UTF-8, as a URI."""
+    """Name a log in the summary of the results in `folder`; by a URI, too, where its name is not valid UTF-8."""
     entry: dict[str, Any] = {"path": str(path.absolute()), "bytes": n_bytes, "relative": os.path.relpath(path, folder)}
     try:
         entry["path"].encode()

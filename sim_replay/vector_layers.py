@@ -20,7 +20,7 @@ _WHOLE: Final = ("contacts", "track", "coverage", "clearance")
 _WAYPOINTS: Final = "waypoints"
 _NEEDED: Final = {"contacts": ("id", "p_mine", "class", "views")}
 _DATUM: Final = "WGS 84; depths are of the sea floor below the surface at the time, not reduced for tide"
-_EASTERNMOST_DEG: Final = 179.999999999  # 180 itself is no longitude (GPX 1.1, longitudeType); 0.1 mm
+_EASTERNMOST_DEG: Final = 179.999999999  # 180 itself is not allowed (GPX 1.1, longitudeType); 0.1 mm
 
 Feature = Mapping[str, Any]
 

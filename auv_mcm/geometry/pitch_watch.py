@@ -11,7 +11,7 @@ _CLIMB_M: Final = 2.0  # between two looks: waves from astern, which lift less, 
 _LONGEST_S: Final = 60.0  # that such a climb may take: of one that takes longer the path is as good as level
 _MAX_STEP_S: Final = 1.5  # between samples; the way across a longer gap is not known
 _LOWEST_RAD: Final = math.radians(3.0)  # of the path: trim and waves give pitch on a level one
-_STEEPEST_RAD: Final = math.radians(45.0)  # more is lifted or sinks, and is no way ahead
+_STEEPEST_RAD: Final = math.radians(45.0)  # steeper is lifted or sinks, without way ahead
 _MIN_CLIMBS: Final = 4  # each way
 _TURNED: Final = -0.5  # pitch by angle of the path: 1 where the sign is right, -1 where it is turned, 0 who hovers
 

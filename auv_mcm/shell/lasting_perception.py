@@ -236,7 +236,7 @@ class LastingPerception:
         """Start another process in place of one that ended. Raises PerceptionError where that is of no use."""
         self._put_away(error)
         started = await self._started()
-        log.info("perception runs again: it is fed anew from event %d of %d", started.number + 1, self._given)
+        log.info("perception runs again: it is fed again from event %d of %d", started.number + 1, self._given)
         self._go_on(started)
 
     async def _started(self) -> Started:

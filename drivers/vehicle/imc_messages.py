@@ -274,7 +274,7 @@ class PlanSpecification(Message, frozen=True):
 
 
 class PlanStatistics(Message, frozen=True):
-    """Hold what a plan takes, in the answer that it is loaded. type: 0 before it, 1 meanwhile, 2 after it."""
+    """Hold the time, way and fuel of a plan, as text. type: 0 of what it will take, 1 of so far, 2 of all."""
 
     plan_id: str
     type: int = 0

@@ -192,7 +192,7 @@ def _run(arguments: argparse.Namespace) -> int:
     if arguments.mcap is not None:
         _write_mcap(source, arguments.mcap)
     notices = [
-        f"{path} was there before and is no leg of this export: remove it unless it is your own" for path in left
+        f"{path} was there before and does not belong to this export: remove it unless it is your own" for path in left
     ]
     if (arguments.gpkg or arguments.gpx) and source.results is not None and not (source.results / TRACK).is_file():
         notices.append(

@@ -65,9 +65,8 @@ _STRAY_FRACTION: Final = 0.05  # of the commonest subsystem's messages; fewer of
 _MAX_CHANNEL: Final = 3  # that a recorder may count sides up to, from 0 or 1
 _MAX_ECHO_S: Final = 5.0  # 3750 m; the decoder refuses what is longer
 _MIN_INTERVAL_S: Final = 0.02  # s between pings whose time and range are unknown
-_APART_S: Final = (
-    1.0  # s that recorders may keep messages: navigation farther from the pings around it has its own clock
-)
+# s that recorders may keep messages: navigation farther from the pings around it has its own clock
+_APART_S: Final = 1.0
 _MIN_APART: Final = 5  # messages that show how far clocks are apart (chosen)
 _MAX_HEARD: Final = 4096  # messages between two pings that are looked at, which bounds memory
 _CLOCK_NOT_SET: Final = "the sonar's clock was never set: the date is unknown and times count from 1970"
@@ -371,14 +370,14 @@ class _Clock:
 
     def ping(self, time_s: float) -> None:
         """Take the time of a side of a ping, 0 for none."""
-        if self._ping_s > 0.0 < time_s:
+        if self._ping_s > 0.0 and time_s > 0.0:
             middle_s, half_s = 0.5 * (self._ping_s + time_s), 0.5 * abs(time_s - self._ping_s)
             self._apart_s += [(heard_s - middle_s, abs(heard_s - middle_s) - half_s) for heard_s in self._heard_s]
         self._ping_s, self._heard_s = time_s, []
 
     def hear(self, seconds: int, milliseconds: int) -> None:
         """Take the time in a navigation message."""
-        if seconds > 0.0 < self._ping_s and len(self._heard_s) < _MAX_HEARD:
+        if seconds > 0 and self._ping_s > 0.0 and len(self._heard_s) < _MAX_HEARD:
             self._heard_s.append(seconds + 1e-3 * (milliseconds % 1000))
 
     def apart_ns(self) -> int:

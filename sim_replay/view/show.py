@@ -236,7 +236,7 @@ def _open_replayed(folder: Path, config: Config | None) -> OpenedMission:
     summary = read_summary(folder)
     if summary is None:
         raise BadInputError(
-            "there is no waterfall yet: no replay has ended here, so the results name no log. It is shown once one "
+            "the waterfall waits: no replay has ended here, so the results name no log. It is shown once one "
             "ends; if none runs, replay the log again, or name it with --log."
         )
     return open_logs(named_logs(summary, folder), config or summary_config(summary, folder))

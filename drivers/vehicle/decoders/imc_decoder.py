@@ -19,6 +19,7 @@ from drivers.vehicle.imc_wire import ImcGrammar, ImcPacket
 
 VEHICLE_TYPES: Final = frozenset({2, 3})  # Announce.sys_type: under water, on the surface
 _ANOTHER_AFTER_S: Final = 60.0  # s of silence of a vehicle that is not named, until another takes its place; chosen
+_MAX_HEARD: Final = 4  # vehicles named in a doubt: two suffice for it, and anybody may send thousands
 _MAX_OFFSET_M: Final = 1e5  # m from the reference: more is damage
 
 
@@ -44,13 +45,14 @@ class FollowedVehicle:
         self.restart()
 
     def restart(self) -> None:
-        """Choose anew, as on a wire that was opened anew."""
+        """Forget whom to follow, as on a wire that was opened again."""
         self.number, self._heard_s = self._named, -math.inf
 
     def hear(self, source: int, message: ImcMessage, now_s: float) -> None:
         """Take a message of any source but the payload."""
         if self._named is None and is_vehicle(message):
-            self._all[source] = None
+            if len(self._all) < _MAX_HEARD:
+                self._all[source] = None
             if now_s - self._heard_s > _ANOTHER_AFTER_S:
                 self.number = source
         if source == self.number:

@@ -7,6 +7,7 @@ import math
 import pytest
 
 from drivers.vehicle import imc_messages as imc
+from drivers.vehicle.decoders.imc_decoder import FollowedVehicle
 from drivers.vehicle.dialect import (
     Acknowledged,
     Capability,
@@ -112,6 +113,14 @@ def test_the_first_vehicle_is_the_vehicle(first: ImcMessage) -> None:
     assert {packet.destination for packet in talk.packets()} == {VEHICLE}
     talk.dialect.connected(talk.now_s)
     assert {packet.destination for packet in talk.packets()} == {ANYONE}
+
+
+def test_a_doubt_names_a_few_vehicles_however_many_announce_themselves() -> None:
+    followed = FollowedVehicle(0)
+    for source in range(1, 5000):
+        followed.hear(source, imc.Announce("any", 2), 0.0)
+    assert not followed.may_be_asked
+    assert len(followed.doubt) < 300
 
 
 def positions(talk: Talk, *latitudes_deg: tuple[int, float]) -> list[float]:
