@@ -58,7 +58,7 @@ class LawWatch:
     def __init__(self, sonar: SonarConfig) -> None:
         self._sonar = sonar
         self._blocks: deque[_Measured] = deque()  # of the newest _RECENT_BLOCKS those that were measured
-        self._open: list[Ping] = []  # of the block being filled
+        self._open: dict[tuple[bool, bool], list[Ping]] = {}  # of the block being filled, by the sides that are there
         self._newest: Ping | None = None
         self._n_given = 0  # pings since the start
         self._n_pings = 0  # of them those that do not repeat the one before
@@ -97,7 +97,7 @@ class LawWatch:
         step_s = abs(ping.time_s - self._last_s)
         if self._transfer is not None and step_s > max(_GAP_S, _GAP_STEPS * self._step_s):
             self._blocks.clear()
-            self._open = []
+            self._open = {}
             self._n_blocks = 0
             self._next_check = _MIN_PINGS // BLOCK_PINGS
         if not math.isfinite(self._first_s):
@@ -107,14 +107,16 @@ class LawWatch:
         self._n_given += 1
 
     def _collect(self, ping: Ping) -> None:
-        if self._open and not _is_alike(ping, self._open[0]):
-            self._open = []
-        self._open.append(ping)
-        if len(self._open) == BLOCK_PINGS:
+        has_sides = ping.port is not None, ping.starboard is not None
+        block = self._open.get(has_sides)
+        if block is None or not _is_alike(ping, block[0]):
+            block = self._open[has_sides] = []
+        block.append(ping)
+        if len(block) == BLOCK_PINGS:
             if self._is_measured_next():
-                self._blocks.append(_Measured(self._n_blocks, measure_block(self._open)))
+                self._blocks.append(_Measured(self._n_blocks, measure_block(block)))
             self._n_blocks += 1
-            self._open = []
+            del self._open[has_sides]
             self._forget(_RECENT_BLOCKS)
 
     def _is_measured_next(self) -> bool:

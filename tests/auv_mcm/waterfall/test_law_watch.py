@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from auv_mcm.records import Notice, Ping, Transfer
 from auv_mcm.settings.config import SonarConfig
@@ -35,6 +36,17 @@ def test_several_hundred_pings_decide_and_the_notice_states_the_odds() -> None:
     assert notice.code == "transfer.chosen"
     assert "logarithms by odds of over 1000 to 1 from 256 pings" in notice.text
     assert notice.for_the_record
+    assert not more
+
+
+def test_a_sonar_that_sends_to_one_side_at_a_time_is_read_as_any_other() -> None:
+    in_turn = [
+        structs.replace(ping, port=None, starboard=ping.port) if ping.number % 2 else ping for ping in pings(LOGARITHM)
+    ]
+    (_, (transfer, (notice,))), *more = verdicts_of(LawWatch(SonarConfig()), in_turn)
+    assert transfer is not None
+    assert transfer.kind == "log"
+    assert notice.code == "transfer.chosen"
     assert not more
 
 
