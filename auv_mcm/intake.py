@@ -193,6 +193,8 @@ class Intake:
         step_s = ping.time_s - self._newest_s
         looks_elsewhere = self._squint_rad not in (None, ping.squint_rad)
         self._squint_rad = ping.squint_rad
+        if step_s == 0.0 and self._joins(ping):
+            return []
         name = ping.number, ping.port is None, ping.starboard is None
         self._n_given += 1
         if not looks_elsewhere and -_CLOCK_STEP_S < step_s <= 0.0:
@@ -215,6 +217,20 @@ class Intake:
         self._pending.append(ping)
         return done + self._release(everything=False)
 
+    def _joins(self, ping: Ping) -> bool:
+        """Join a ping to the newest one where that has its time and only the other side; check whether it did."""
+        newest = self._pending[-1] if self._pending else None
+        if not isinstance(newest, Ping) or newest.time_s != ping.time_s:
+            return False
+        if ping.starboard is None and newest.port is None:
+            whole = structs.replace(newest, port=ping.port)
+        elif ping.port is None and newest.starboard is None:
+            whole = structs.replace(newest, starboard=ping.starboard)
+        else:
+            return False
+        self._pending[-1], self._run = whole, []
+        return True
+
     def _lose(self, ping: Ping) -> None:
         """Count a ping that has the time of another one, and ask a person to look where that takes many."""
         self._n_lost += 1
@@ -223,8 +239,7 @@ class Intake:
         self._raised.add("ping.times_repeat")
         text = (
             f"{self._n_lost} of {self._n_given} pings have the time of the one before, and are left out: a clock that "
-            "is too coarse, or each side as a ping of its own. Give each ping the time at which it was sent, and both "
-            "sides in one."
+            "is too coarse. Give each ping the time at which it was sent."
         )
         self._notices.append(Notice(code="ping.times_repeat", text=text, place=ping.place))
 

@@ -194,14 +194,26 @@ def test_repeated_and_slightly_older_times_are_dropped_and_counted() -> None:
     assert fed.counters["ping.time_backwards"] == 2
 
 
-def test_pings_that_go_because_times_are_too_coarse_or_sides_come_alone_are_reported_once() -> None:
+def test_pings_that_go_because_times_are_too_coarse_are_reported_once() -> None:
     whole = [ping(number, START_S + number // 10) for number in range(200)]
-    alone = [structs.replace(ping(number), **{side: None}) for number in range(100) for side in ("port", "starboard")]
-    for pings in (whole, alone):
-        found = Fed().feed(pings).flush().intake.take_notices()
-        assert [one.code for one in found if one.code == "ping.times_repeat"] == ["ping.times_repeat"]
+    found = Fed().feed(whole).flush().intake.take_notices()
+    assert [one.code for one in found if one.code == "ping.times_repeat"] == ["ping.times_repeat"]
     twice = [each for number in range(200) for each in [ping(number)] * 2]
     assert not [one for one in Fed().feed(twice).flush().intake.take_notices() if one.code == "ping.times_repeat"]
+
+
+@pytest.mark.parametrize("sides", [("port", "starboard"), ("starboard", "port")])
+def test_sides_that_come_as_pings_of_the_same_time_are_one_ping(sides: tuple[str, str]) -> None:
+    together = mission(100)
+    alone = [
+        half
+        for event in together
+        for half in ([structs.replace(event, **{side: None}) for side in sides] if isinstance(event, Ping) else [event])
+    ]
+    one, other = Fed().feed(together).flush(), Fed().feed(alone).flush()
+    assert_same_blocks(one, other)
+    assert all(ping.port is not None and ping.starboard is not None for block in other.blocks for ping in block.pings)
+    assert not other.counters["ping.time_repeated"]
 
 
 @pytest.mark.parametrize("step_s", [-3600.0, -1.5])
