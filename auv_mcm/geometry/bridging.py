@@ -52,9 +52,9 @@ class Odometer:
             0.5 * (before + now) * elapsed_s for before, now in zip(self._velocity, velocity, strict=True)
         )
         made = self._made
-        if elapsed_s > self._hold_s or math.isnan(way_m):
+        if math.isnan(way_m):
             self._made = made._replace(leg=made.leg + 1.0)
-        elif math.isnan(east_m):
+        elif elapsed_s > self._hold_s or math.isnan(east_m):
             self._made = made._replace(way_m=made.way_m + way_m, leg=made.leg + 1.0)
         else:
             self._made = WayMade(made.east_m + east_m, made.north_m + north_m, made.way_m + way_m, made.leg)

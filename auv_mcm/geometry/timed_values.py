@@ -127,7 +127,10 @@ class TimedValues:
         return Values(values, bridged | (distance <= limits.fresh_s + CLOCK_S), distance)
 
     def at_one(self, time_s: float) -> tuple[float, ...]:
-        """Give the values at one instant, as `at` does, in a tenth of its time between two values or at the newest."""
+        """Give the values at one instant, NaN where none is fresh.
+
+        They are those of `at`, in a tenth of its time between two values or at the newest.
+        """
         self._gather()
         start, stop = self._start, self._stop
         right = start + int(np.searchsorted(self._times[start:stop], time_s, side="right"))
@@ -139,7 +142,8 @@ class TimedValues:
                 share = (time_s - left_s) / (right_s - left_s)
                 left, after = self._values[right - 1 : right + 1].tolist()
                 return tuple(one + share * (other - one) for one, other in zip(left, after, strict=True))
-        return tuple(self.at(np.array([time_s])).values[0].tolist())
+        found = self.at(np.array([time_s]))
+        return tuple(np.where(found.fresh[0], found.values[0], NAN).tolist())
 
     @property
     def first_s(self) -> float:

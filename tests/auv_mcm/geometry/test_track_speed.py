@@ -73,6 +73,27 @@ def test_a_sound_speed_is_used_as_it_is(factor: float, fix_s: float, scatter_m: 
     assert codes(buffer) == []
 
 
+@pytest.mark.parametrize(("speed_mps", "is_off"), [(SPEED_MPS, False), (0.0, True), (0.5144 * SPEED_MPS, True)])
+def test_a_speed_that_comes_with_sparse_fixes_is_judged_by_the_way_between_them(speed_mps: float, is_off: bool) -> None:
+    buffer = NavBuffer(NavigationConfig())
+    flown(buffer, *samples(speed_mps, period_s=5.0, fix_s=5.0))
+    assert ("navigation.speed_off_track" in codes(buffer)) == is_off
+
+
+def test_a_speed_that_is_missing_for_a_while_is_not_judged_then() -> None:
+    buffer = NavBuffer(NavigationConfig())
+    gone = (START_S + 20.0, START_S + 35.0)
+    track = flown(
+        buffer,
+        *(
+            msgspec.structs.replace(sample, speed_mps=math.nan) if gone[0] < sample.time_s < gone[1] else sample
+            for sample in samples(SPEED_MPS)
+        ),
+    )
+    assert codes(buffer) == []
+    np.testing.assert_allclose(track.speed_mps, SPEED_MPS, rtol=0.05)
+
+
 @pytest.mark.parametrize("scatter_m", [0.0, 0.5])
 def test_positions_that_stand_still_judge_no_speed(scatter_m: float) -> None:
     buffer = NavBuffer(NavigationConfig())
