@@ -126,7 +126,7 @@ class Dated(NamedTuple):
     heading_is_empty: Verdicts
     way: TimedValues
 
-    def bridged(self, times: NDArray[np.float64], place: NDArray[np.float64], carry_s: float) -> Bridged:
+    def bridged(self, times: NDArray[np.float64], place: NDArray[np.float64]) -> Bridged:
         """Place instants in holes between fixes, and behind the last one, by the way made.
 
         Parameters
@@ -135,17 +135,19 @@ class Dated(NamedTuple):
             Of the instants, (n,).
         place
             By the fixes alone, (n, 3), Earth-centred.
-        carry_s
-            How long behind the last fix, s; 0 for not at all.
         """
         place, sigma_m = place.copy(), np.zeros(times.shape)
         bridged = np.zeros(times.shape, dtype=np.bool_)
-        if carry_s > 0.0:
-            self._carry_on(times, Bridged(place, sigma_m, bridged), carry_s)
+        into = Bridged(place, sigma_m, bridged)
+        last_s = self.position.last_s
+        behind = np.flatnonzero(times > last_s)
+        if behind.size:
+            self._carry_on(times, behind, np.full(behind.size, last_s), into)
         hole = self.position.holes(times)
         if hole is None:
-            return Bridged(place, sigma_m, bridged)
+            return into
         rows, left_s, right_s, left, right = hole
+        self._carry_on(times, rows, left_s, into)
         usable = (right_s - left_s <= MAX_HOLE_S + CLOCK_S) & (right_s - times[rows] < right[:, 5])
         steady = self._is_steady(left_s, right_s)
         made, until, before = (self.way.at(when).values for when in (times[rows], right_s, left_s))
@@ -167,16 +169,19 @@ class Dated(NamedTuple):
             fresh.append(known)
         return np.asarray(np.all(fresh, axis=0) & (np.ptp(values, axis=0) <= STEADY_RAD))
 
-    def _carry_on(self, times: NDArray[np.float64], into: Bridged, carry_s: float) -> None:
-        """Place instants behind the last fix by the way made since then."""
-        last_s = self.position.last_s
-        rows = np.flatnonzero((times > last_s) & (times - last_s <= carry_s))
+    def _carry_on(
+        self, times: NDArray[np.float64], rows: NDArray[np.intp], left_s: NDArray[np.float64], into: Bridged
+    ) -> None:
+        """Place instants of these rows by the way made since the fixes before them, at left_s (n_rows,)."""
+        is_near = times[rows] - left_s <= MAX_HOLE_S
+        rows, left_s = rows[is_near], left_s[is_near]
         if not rows.size:
             return
-        last = self.position.at(np.full(rows.size, last_s)).values[:, :3]
-        made, before = self.way.at(times[rows]).values, self.way.at(np.full(rows.size, last_s)).values
+        left = self.position.at(left_s).values[:, :3]
+        made, before = self.way.at(times[rows]), self.way.at(left_s).values
         placed, placed_sigma_m, known = bridge(
-            Hole(last, last, np.zeros(rows.size), made, before, before, np.zeros(rows.size, dtype=np.bool_))
+            Hole(left, left, np.zeros(rows.size), made.values, before, before, np.zeros(rows.size, dtype=np.bool_))
         )
+        known &= made.fresh
         into.place[rows[known]], into.sigma_m[rows[known]] = placed[known], placed_sigma_m[known]
         into.bridged[rows[known]] = True

@@ -54,9 +54,9 @@ class NavBuffer:
     """Hold the vehicle's recent navigation.
 
     `counters` holds what was rejected or derived: `navigation.time_not_finite`, `.time_backwards`, `.time_repeated`,
-    `.time_leap`, `.not_finite`, `.position_zero`, `.zero_with_position`, `.position_jump`, `.position_refix`,
-    `.<quantity>_out_of_range`; in instants: `.heading_from_course`, `.speed_from_fixes`; at most one: `.pitch_absent`,
-    `.roll_absent`.
+    `.time_leap`, `.not_finite`, `.position_zero`, `.zero_with_position`, `.position_repeated`, `.position_jump`,
+    `.position_refix`, `.<quantity>_out_of_range`; in instants: `.heading_from_course`, `.speed_from_fixes`; at most
+    one: `.pitch_absent`, `.roll_absent`.
     """
 
     def __init__(self, config: NavigationConfig, raised: set[str] | None = None) -> None:
@@ -96,6 +96,7 @@ class NavBuffer:
         self._leap: NavSample | None = None
         self._agreement = FixAgreement(chord_m, _reach_m, AGREE_S)
         self._last_offered_s = -math.inf  # time of the newest position offered, accepted or not
+        self._held_position = checks.HeldPositionCheck()
         self._decided: deque[bool] = deque(maxlen=_REJECTED_WINDOW)  # per fix: was it rejected?
         self._steps_s: list[tuple[float, float]] = []  # fixes between which the track steps to another place
         self._heading_check = checks.HeadingCheck()
@@ -187,12 +188,12 @@ class NavBuffer:
 
         Positions lie along the chord through the Earth, so any place will do.
 
-        Never extrapolates. Beyond the ends, and in holes longer than `max_gap_s`, a quantity keeps its nearest value,
-        taken from a later sample only up to max(max_gap_s, max_extrapolation_s) away; with none it is NaN (pitch, roll:
-        0). Heading and speed fall back on course and speed made good over the fixes. `stale` marks instants more than
-        `max_extrapolation_s` from the nearest fix or heading and not between two that are at most `max_gap_s` apart,
-        and those whose position is disputed. For instants later than `ready_until_s` before any track of fixes is
-        accepted, the best track is accepted.
+        Only positions are extrapolated, by the way made since a fix, for MAX_HOLE_S. Beyond the ends, and in holes
+        longer than `max_gap_s`, a quantity keeps its nearest value, taken from a later sample only up to
+        max(max_gap_s, max_extrapolation_s) away; with none it is NaN (pitch, roll: 0). Heading and speed fall back on
+        those over the fixes. `stale` marks instants more than `max_extrapolation_s` from the nearest fix or heading and
+        neither placed by the way made nor between two that are at most `max_gap_s` apart, and those whose position is
+        disputed. For instants later than `ready_until_s` before any track of fixes is accepted, the best track is.
         """
         times = np.array(times_s, dtype=np.float64)
         if times.size and float(times.max()) > self.ready_until_s:
@@ -206,7 +207,7 @@ class NavBuffer:
         )
         if not self._has_speed and not math.isnan(self._last_speed_mps):
             speed = np.where(np.isnan(speed), 0.0, speed)
-        placed = self._dated.bridged(times, position.values[:, :3], self._lend_s if self._is_sparse else 0.0)
+        placed = self._dated.bridged(times, position.values[:, :3])
         self._count_unbridged(placed, float(times[0]) if times.size else math.nan)
         latitude, longitude, _ = ecef_to_geodetic(placed.place)
         doubt_m, disputed = np.nan_to_num(position.values[:, 3]), position.values[:, 4] > 0.0
@@ -254,7 +255,7 @@ class NavBuffer:
         for channel in self._all:
             channel.clear()
         self._agreement = FixAgreement(chord_m, _reach_m, AGREE_S)
-        self._last_offered_s = -math.inf
+        self._last_offered_s, self._held_position = -math.inf, checks.HeldPositionCheck()
         self._last_fix = self._chord_start = None
         self._last_heading = self._last_course = None
         self._line.clear()
@@ -304,11 +305,9 @@ class NavBuffer:
         heading_rad = NAN
         if self._last_heading is not None and time_s - self._heading.last_s <= self._heading.limits.bridge_s:
             heading_rad = self._last_heading
-        speed_mps = self._last_speed_mps
-        if self._has_speed and time_s - self._speed.last_s > self._speed.limits.bridge_s:
-            speed_mps = NAN
-        if speed_mps == speed_mps:
-            self._way.append(time_s, self._odometer.go_to(time_s, heading_rad, speed_mps))
+        is_old = self._has_speed and time_s - self._speed.last_s > self._speed.limits.bridge_s
+        if not (is_old or math.isnan(self._last_speed_mps)):
+            self._way.append(time_s, self._odometer.go_to(time_s, heading_rad, self._last_speed_mps))
         self._judge_speed()
         if self._is_undecided() and time_s - self._oldest_s > max(_GIVE_UP_S, self._judge_s):
             self._believe()
@@ -382,6 +381,9 @@ class NavBuffer:
             self.counters["navigation.time_repeated"] += 1
             return
         self._last_offered_s = time_s
+        if self._held_position.add(time_s, latitude, longitude, self._last_speed_mps):
+            self.counters["navigation.position_repeated"] += 1
+            return
         self._decide(self._agreement.add(fix_at(time_s, latitude, longitude)))
 
     def _decide(self, decision: FixDecision[Fix]) -> None:

@@ -13,6 +13,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_mcm.geometry.bridging import MAX_HOLE_S
+from auv_mcm.geometry.track_speed import MIN_SPEED_MPS
+
 # Courses come from chords of 2 m or more, so that 25 of them are at least 50 m of track.
 _N_CHORDS: Final = 25
 # A vehicle crabs by asin(cross current / speed): 60 degrees needs a current of 0.87 of its speed, in which no survey
@@ -98,6 +101,33 @@ class ZeroHeadingCheck:
         if len(self._courses) < _ZERO_CHORDS and way_m < _ZERO_WAY_M:
             return None
         return math.degrees(cmath.phase(sum(self._courses)))
+
+
+_MIN_ROUNDED: Final = 4  # more changes of latitude or longitude alone than of both: a recorder's steps are that coarse
+
+
+class HeldPositionCheck:
+    """Find positions that a recorder repeats until the next fix, while the vehicle goes on.
+
+    Coarse steps of latitude and longitude repeat as well, but one changes without the other: those are kept, since the
+    first of equal positions is no more exact than the others.
+    """
+
+    def __init__(self) -> None:
+        self._last = (math.nan, math.nan)
+        self._last_s = -math.inf
+        self._n_rounded = 0
+
+    def add(self, time_s: float, latitude_deg: float, longitude_deg: float, speed_mps: float) -> bool:
+        """Take a position with the measured speed; return whether it repeats the one before."""
+        n_same = (latitude_deg == self._last[0]) + (longitude_deg == self._last[1])
+        is_moving = speed_mps >= MIN_SPEED_MPS and time_s - self._last_s <= MAX_HOLE_S
+        if n_same == 2 and is_moving and self._n_rounded < _MIN_ROUNDED:
+            return True
+        if n_same < 2:
+            self._n_rounded = min(max(self._n_rounded + (1 if n_same else -1), 0), 2 * _MIN_ROUNDED)
+        self._last, self._last_s = (latitude_deg, longitude_deg), time_s
+        return False
 
 
 class AltitudeCheck:

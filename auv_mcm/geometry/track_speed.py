@@ -22,7 +22,7 @@ _MIN_FIXES: Final = 3  # a line through two has no scatter that could be judged
 _SPACING_S: Final = 0.25  # s between fixes that are kept: bounds the work at high rates
 _PERIOD_S: Final = 0.5  # s between lines
 _MAX_HOLE_S: Final = 16.0  # s between fixes, beyond which a line says little about the speed between them
-_MIN_SPEED_MPS: Final = 0.3  # m/s: slower, a vehicle stands, or its position stands still; neither judges a speed
+MIN_SPEED_MPS: Final = 0.3  # m/s: slower, a vehicle stands, or its position stands still; neither judges a speed
 _MAX_SIGMA: Final = 0.1  # of the speed: lines with a larger 1-sigma judge no measured speed
 _MIN_STRAIGHTNESS: Final = 0.97  # of the way made, against its chord: an arc of 50 degrees; turns judge no speed
 _OFF: Final = math.log(1.2)  # a measured speed further off is not used
@@ -62,7 +62,7 @@ class SpeedEstimate(NamedTuple):
     @property
     def is_good(self) -> bool:
         """Check whether it may judge a measured speed."""
-        return self.is_straight and self.speed_mps >= _MIN_SPEED_MPS and self.sigma_mps <= _MAX_SIGMA * self.speed_mps
+        return self.is_straight and self.speed_mps >= MIN_SPEED_MPS and self.sigma_mps <= _MAX_SIGMA * self.speed_mps
 
 
 class TrackSpeed:

@@ -101,6 +101,7 @@ MEANINGS: Final = {
     "navigation.ping_stale": (
         "pings too far from a navigation sample: their position is uncertain, they earn no coverage"
     ),
+    "navigation.position_repeated": "positions left out because they repeat the fix before while the vehicle moves",
     "navigation.position_jump": "position fixes rejected because the vehicle cannot have moved that far",
     "navigation.position_out_of_range": "positions that do not exist on Earth, rejected",
     "navigation.position_refix": "times a jump was accepted after several fixes agreed on the new place",

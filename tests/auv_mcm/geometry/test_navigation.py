@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from auv_mcm.geometry.bridging import MAX_HOLE_S
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.geometry.navigation import NavBuffer
-from auv_mcm.records import NAN
+from auv_mcm.records import NAN, NavSample
 from auv_mcm.settings.config import NavigationConfig
 from tests.auv_mcm.geometry.nav_samples import FRAME, HEADING_RAD, START_S, at, east_north, filled, here, only, without
 
@@ -109,6 +109,67 @@ def test_a_straight_run_stays_straight_anywhere(frame: LocalFrame) -> None:
     np.testing.assert_allclose(east_north(track, frame), expected, rtol=0, atol=1e-6)
     assert track.longitude_deg.min() >= -180.0
     assert track.longitude_deg.max() < 180.0
+
+
+def arc(seconds: float) -> NavSample:
+    """A sample on a circle of 60 m at 1.5 m/s."""
+    turned = 1.5 * seconds / 60.0
+    return here(seconds, 60.0 * (1.0 - math.cos(turned)), 60.0 * math.sin(turned), heading_rad=turned, speed_mps=1.5)
+
+
+def test_heading_and_speed_carry_the_position_while_no_fix_comes_and_no_longer() -> None:
+    whole = [arc(0.1 * i) for i in range(500)]
+    lost = [
+        without(sample, "latitude_deg", "longitude_deg") if 100 < i < 350 else sample for i, sample in enumerate(whole)
+    ]
+    seconds = np.arange(0.0, 49.9, 0.05)
+    track, reference = at(filled(lost), *seconds), at(filled(whole), *seconds)
+    error_m = np.linalg.norm(east_north(track) - east_north(reference), axis=1)
+    assert error_m[seconds < 25.0].max() < 0.1
+    assert seconds[track.stale].min() == pytest.approx(25.0, abs=0.1)
+    assert seconds[track.stale].max() < 35.0
+    assert (track.position_sigma_m[~track.stale] < 2.0).all()
+
+
+@pytest.mark.parametrize("held_s", [1.0, 3.0, 5.0])
+def test_a_position_that_is_repeated_until_the_next_fix_is_measured_once(held_s: float) -> None:
+    whole = [arc(0.1 * i) for i in range(500)]
+    step = round(held_s / 0.1)
+    held = [
+        msgspec.structs.replace(
+            sample,
+            latitude_deg=whole[i // step * step].latitude_deg,
+            longitude_deg=whole[i // step * step].longitude_deg,
+        )
+        for i, sample in enumerate(whole)
+    ]
+    buffer = filled(held)
+    seconds = np.arange(0.0, 44.9, 0.05)
+    track = at(buffer, *seconds)
+    assert np.abs(east_north(track) - east_north(at(filled(whole), *seconds))).max() < 0.1
+    assert not track.stale.any()
+    assert buffer.counters["navigation.position_repeated"] > 300
+
+
+def test_a_position_in_coarse_steps_is_not_pushed_ahead_by_half_a_step() -> None:
+    """Rounded to 1e-5 degrees, 1.1 and 0.8 m: where a step begins the true place is half of it behind."""
+    whole = [here(0.1 * i, 0.05 * i, 0.12 * i, heading_rad=math.atan2(5, 12), speed_mps=1.3) for i in range(1000)]
+    rounded = [
+        msgspec.structs.replace(
+            sample, latitude_deg=round(sample.latitude_deg, 5), longitude_deg=round(sample.longitude_deg, 5)
+        )
+        for sample in whole
+    ]
+    seconds = np.arange(20.0, 90.0, 0.05)
+    error_m = east_north(at(filled(rounded), *seconds)) - east_north(at(filled(whole), *seconds))
+    assert np.abs(error_m.mean(axis=0)).max() < 0.1
+
+
+def test_a_vehicle_that_stands_has_a_position_all_the_time() -> None:
+    buffer = filled([here(0.1 * i, speed_mps=0.1) for i in range(300)])
+    track = at(buffer, *np.arange(0.0, 29.0, 0.5))
+    assert not track.stale.any()
+    assert not buffer.counters["navigation.position_repeated"]
 
 
 def test_stale_begins_just_beyond_half_a_second() -> None:

@@ -79,7 +79,7 @@ def test_a_sample_from_the_past_changes_nothing() -> None:
 
 @pytest.mark.parametrize("stamp", [NAN, math.inf, -math.inf])
 def test_a_sample_without_a_time_is_refused(stamp: float) -> None:
-    buffer = filled([here(0.0), NavSample(time_s=stamp, heading_rad=1.0), here(1.0)])
+    buffer = filled([here(0.0), NavSample(time_s=stamp, heading_rad=1.0), here(1.0, east=2.0)])
     assert buffer.counters == {"navigation.time_not_finite": 1}
     assert at(buffer, 0.5).heading_rad[0] == HEADING_RAD
 
@@ -96,7 +96,7 @@ def test_one_time_stamp_from_the_future_does_not_silence_the_source(position: in
 
 
 def test_a_pause_of_an_hour_is_accepted_when_a_second_sample_confirms_it() -> None:
-    buffer = filled([here(0.0), here(1.0), here(3600.0, east=500.0), here(3601.0, east=502.0)])
+    buffer = filled([here(0.0), here(1.0, east=2.0), here(3600.0, east=500.0), here(3601.0, east=502.0)])
     assert not buffer.counters
     assert east_north(at(buffer, 3600.5))[0, 0] == pytest.approx(501.0, abs=1e-5)
 
