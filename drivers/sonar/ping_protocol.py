@@ -45,7 +45,7 @@ from drivers.sonar.ping_messages import (
     encode,
     linear_power,
 )
-from drivers.sonar.ping_sides import MAX_CHANNEL, HeadSides, Sided
+from drivers.sonar.ping_sides import MAX_CHANNEL, NO_CHANNEL, HeadSides, Sided
 from drivers.sonar.sonar_decoder import SonarFrame, SonarItem, SonarReply, SonarSettings
 from drivers.sonar.sonar_settings import check_settings
 
@@ -233,7 +233,7 @@ def commands(settings: SonarSettings) -> tuple[bytes, ...]:
 
 def _unusable(profile: OsMonoProfile) -> str | None:
     """Return why no trace can be made of it, in one word."""
-    if profile.channel_number > MAX_CHANNEL:
+    if MAX_CHANNEL < profile.channel_number < NO_CHANNEL:
         return "channel"
     if (
         profile.pwr_results.shape[0] == 0

@@ -2,7 +2,8 @@
 
 Profiles carry a channel number, 0 for port and 1 for starboard as a rule, and the look angle of their transducer
 against the bow, +90 degrees for starboard and -90 for port where somebody set it (Cerulean, "os_mono_profile";
-SonarView goes by the angle). Heads that count from one, or that all call themselves channel 0, are in use too.
+SonarView goes by the angle). Heads that count from one, that all call themselves channel 0, or that have 255 for want
+of a number, are in use too.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from drivers.framing import StampedMessage
 from drivers.sonar.ping_messages import OsMonoProfile, PingMessage
 
 MAX_CHANNEL: Final = 3  # of two heads at two frequencies, counted from 0
+NO_CHANNEL: Final = 255  # of heads that number none
 _LOOK_TOLERANCE_DEG: Final = 30.0  # of +-90 degrees, within which an angle is one to a side (chosen)
 _CLOSE_DEG: Final = 2.0  # an angle against north is taken only where it is as close, and the other is not (chosen)
 _SETTLED: Final = 8  # profiles after which it is known which channels there are (chosen)
@@ -102,7 +104,7 @@ class HeadSides:
         if looks is None and last is not None and _shares_channel(last.arrived, last.profile, arrived, profile):
             side = "starboard" if last.side == "port" else "port"
             self._notify_alike(profile)
-        elif looks is not None and numbered not in (None, looks):
+        elif looks is not None and numbered not in (None, looks) and profile.channel_number != NO_CHANNEL:
             self._notify_look(profile, looks)
         self._n_placed += 1
         self._last = Sided(arrived, profile, side)
@@ -114,7 +116,7 @@ class HeadSides:
         first = heads[0][0]
         place = heads.index(head)
         if len(heads) == 1:
-            place = 0 if self._are_alike else first % 2
+            place = 0 if self._are_alike or first == NO_CHANNEL else first % 2
         if place > 1:
             return None
         return "port" if place == self._port_channel else "starboard"

@@ -68,6 +68,8 @@ def channel(number: int, look_deg: float = 0.0, vehicle_deg: float = 0.0) -> dic
         (channel(1, 120.0, 210.0), channel(0, 300.0, 210.0), ["sonar_sides_disagree"]),
         (channel(1, 0.0, 90.0), channel(0, 180.0, 90.0), ["sonar_sides_disagree"]),
         (channel(0, math.nan), channel(1, math.inf), []),
+        (channel(255, -90.0), channel(255, 90.0), []),
+        (channel(255), channel(255), ["sonar_channels_alike"]),
     ],
 )
 def test_sides_go_by_look_angle_then_number_then_order(
@@ -87,7 +89,7 @@ def test_heads_that_count_from_one_are_known_by_number_whichever_comes_first(sta
     check_sides(frames)
 
 
-@pytest.mark.parametrize(("number", "look_deg"), [(0, 90.0), (1, 90.0), (0, 89.0)])
+@pytest.mark.parametrize(("number", "look_deg"), [(0, 90.0), (1, 90.0), (0, 89.0), (255, 90.0)])
 def test_a_single_head_looks_where_its_angle_says(number: int, look_deg: float) -> None:
     frames, notices = decoded(pings(None, channel(number, look_deg)))
     check_sides(frames, port=None)
