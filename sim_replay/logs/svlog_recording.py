@@ -15,7 +15,7 @@ from __future__ import annotations
 import json
 import math
 from collections import Counter, deque
-from collections.abc import Iterator
+from collections.abc import Hashable, Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 from struct import Struct
@@ -29,7 +29,7 @@ from drivers.recording.session_layout import Recorded
 from drivers.sonar import ping_messages
 from drivers.sonar.ping_messages import JsonWrapper, PingMessage, decode, to_wire
 from drivers.sonar.ping_protocol import PingGrammar
-from drivers.sonar.ping_sides import frequency_text, is_same_frequency
+from drivers.sonar.ping_sides import frequency_text, is_same_frequency, look_side
 from sim_replay.logs.message_file import MessageFile
 
 SONAR_PORT: Final = "sonar"
@@ -46,7 +46,7 @@ _FREQUENCY: Final = Struct("<16xI")  # Hz
 _PROBE_PROFILES: Final = 400  # looked at to find which frequencies a log holds
 _PROBE_BYTES: Final = 8 << 20  # in this much, sonars that send several frequencies have sent each many times
 _STRAY_FRACTION: Final = 0.05  # of the commonest frequency's profiles; fewer of another do not count
-_CHANNEL_AT: Final = 26  # byte of a profile with its channel
+_HEAD: Final = Struct("<26xB17xff")  # of a profile: its channel, and the angles that give its side
 _COUNTER_MS: Final = 2**32  # ms after which a 32-bit counter starts over
 _MAX_WAITING: Final = 256  # navigation packets before the next ping
 _RESTART_MS: Final = 1000  # a counter that goes back by more was started anew; heads send within that of each other
@@ -156,7 +156,9 @@ class SvlogRecording:
         if not self._clock.is_known and not self._clock.is_used:
             text = "the log's head carries no time: times count from 1970-01-01, and contacts carry them"
             self.notices.append(Notice(code="reader.time_unknown", text=text, place=place))
-        time_ns = self._clock.time_ns(message.payload[_CHANNEL_AT], counter_ms, round(1e9 * echo_s))
+        channel, *angles_deg = _HEAD.unpack_from(message.payload)
+        head = channel, message.source, look_side(*angles_deg)
+        time_ns = self._clock.time_ns(head, counter_ms, round(1e9 * echo_s))
         if self._clock.n_restarts > self._own["reader.sonar_restarted"]:
             self._own["reader.sonar_restarted"] = self._clock.n_restarts
             text = (
@@ -227,7 +229,7 @@ class _SonarTime:
         self.n_restarts = 0
         self._next_ns: int | None = 0
         self._last_ns = 0
-        self._counters: dict[int, tuple[int, int]] = {}  # by channel: the last counter, ms, and UTC where it was 0
+        self._counters: dict[Hashable, tuple[int, int]] = {}  # by head: the last counter, ms, and UTC where it was 0
 
     def start(self, utc_ns: int) -> None:
         """Take the time stamp of a log's head; a further one of about the time reached changes nothing."""
@@ -237,10 +239,10 @@ class _SonarTime:
         self._next_ns = utc_ns
         self._counters.clear()
 
-    def time_ns(self, channel: int, counter_ms: int, echo_ns: int) -> int:
+    def time_ns(self, head: Hashable, counter_ms: int, echo_ns: int) -> int:
         """Compute when the last echo of a ping was received; the time decreases only where a new log begins."""
         self.is_used = True
-        known = self._counters.get(channel)
+        known = self._counters.get(head)
         if known is not None and (counter_ms - known[0]) % _COUNTER_MS < _COUNTER_MS // 2:
             zero_ns = known[1] + (_COUNTER_MS * 1_000_000 if counter_ms < known[0] else 0)
         elif known is not None and known[0] - counter_ms <= _RESTART_MS:
@@ -248,16 +250,16 @@ class _SonarTime:
         elif self._next_ns is not None:
             zero_ns = self._next_ns - counter_ms * 1_000_000
         else:
-            zero_ns = self._zero_of_another(channel, counter_ms, restarted=known is not None)
+            zero_ns = self._zero_of_another(head, counter_ms, restarted=known is not None)
         if self._next_ns is not None:
             self._last_ns, self._next_ns = 0, None
-        self._counters[channel] = counter_ms, zero_ns
+        self._counters[head] = counter_ms, zero_ns
         self._last_ns = max(zero_ns + counter_ms * 1_000_000 + echo_ns, self._last_ns)
         return self._last_ns
 
-    def _zero_of_another(self, channel: int, counter_ms: int, *, restarted: bool) -> int:
+    def _zero_of_another(self, head: Hashable, counter_ms: int, *, restarted: bool) -> int:
         for other, (last_ms, zero_ns) in self._counters.items():
-            if other != channel and abs(counter_ms - last_ms) <= _RESTART_MS:
+            if other != head and abs(counter_ms - last_ms) <= _RESTART_MS:
                 return zero_ns
         self.n_restarts += restarted
         return self._last_ns + _RESTART_GAP_NS * restarted - counter_ms * 1_000_000

@@ -400,3 +400,27 @@ def test_a_sonar_that_was_powered_up_anew_goes_on_in_time(tmp_path: Path) -> Non
     assert steps.min() >= 0.0
     assert steps.max() < 0.3
     assert log.counters["reader.sonar_restarted"] == 1
+
+
+@pytest.mark.parametrize("look_deg", [0.0, 90.0])
+def test_heads_that_share_a_channel_have_counters_of_their_own(look_deg: float, tmp_path: Path) -> None:
+    """The other head was powered up a minute later; they differ by device number, or by look angle."""
+    parts = []
+    for message, _, _ in Framer(PingGrammar()).feed(written("ping_protocol", tmp_path / "whole").read_bytes()):
+        profile = decode(message)
+        if isinstance(profile, OsMonoProfile):
+            side, source = 2 * profile.channel_number - 1, 0 if look_deg else 1 + profile.channel_number
+            later = profile._replace(
+                channel_number=0,
+                timestamp_ms=profile.timestamp_ms - 30_000 * (1 + side),
+                transducer_heading_deg=side * look_deg,
+            )
+            message = message._replace(payload=encode(later)[8:-2], source=source)
+        parts.append(ping_wire(message))
+    path = tmp_path / "log"
+    path.write_bytes(b"".join(parts))
+    log = open_log(path, Config())
+    found, expected = pings(iter(log)), pings(iter(open_log(tmp_path / "whole", Config())))
+    assert [ping.time_s for ping in found] == pytest.approx([ping.time_s for ping in expected], abs=1e-6)
+    assert all(ping.port and ping.starboard for ping in found)
+    assert log.counters["reader.sonar_restarted"] == 0
