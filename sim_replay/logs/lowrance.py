@@ -4,7 +4,8 @@ Layouts are those of opensounder's "sounder-log-formats" (format 2 and 3), held 
 Int. J. Geo-Inf. 9 (2020) 149) and sonarlight; no recording was at hand. A composite frame (channel 5) holds both sides,
 from far port to far starboard, at limits of range below and above 0; channels 3 and 4 hold one each. Ranges and depths
 are feet, speeds knots, angles radians, positions metres of a spherical Mercator projection. Flags of validity are left
-out, as their descriptions contradict each other, and so is the magnetic heading: the course over ground is used.
+out, as their descriptions contradict each other, and so is the magnetic heading: the course over ground is used. Frames
+of SL3 whose version is 13 have a longer header (SL3Reader).
 """
 
 from __future__ import annotations
@@ -50,6 +51,7 @@ _NO_TIME: Final = 0xFFFF_FFFF  # of a recorder that has not heard satellites
 _PROBED: Final = 64  # frames in which the time of the beginning is looked for (chosen)
 _LOOK_BYTES: Final = 1 << 20  # in a log without its header, frames are looked for this far
 _KHZ: Final = (200.0, 50.0, 83.0, 455.0, 800.0, 38.0, 28.0)  # by the code of SL3; those of SL2 are disputed
+_LONGER_VERSION, _MORE_BYTES = 13, 12  # of SL3's frames: their header has as many more than that of version 10
 _NO_NAVIGATION: Final = "its frames have none. Record with a satellite receiver in use."
 
 
@@ -64,12 +66,16 @@ class _Version(NamedTuple):
         """Read the header of a frame."""
         return dict(zip(self.names, self.header.unpack_from(buffer, at), strict=True))
 
+    def samples_at(self, frame: dict[str, Any]) -> int:
+        """Find where the samples of a frame begin in it."""
+        return self.header.size + (_MORE_BYTES if frame.get("version") == _LONGER_VERSION else 0)
+
     def layout(self) -> Layout:
         """Return how frames follow each other."""
 
         def begins(buffer: bytes | bytearray, at: int, position: int) -> bool:
             frame = self.fields(buffer, at)
-            whole = frame["packet"] + self.header.size == frame["size"] or frame["offset"] == position
+            whole = frame["packet"] + self.samples_at(frame) == frame["size"] or frame["offset"] == position
             return bool(whole and frame["size"] >= self.header.size and frame["channel"] <= _MAX_CHANNEL)
 
         def length(buffer: bytes | bytearray, at: int) -> int:
@@ -79,16 +85,17 @@ class _Version(NamedTuple):
         return Layout("lowrance", first, self.channel_at - 4, self.header.size, _MAX_FRAME_BYTES, begins, length)
 
 
+_LIMITS: Final = ("first_ft", "last_ft", "start_s")
 _TAIL: Final = ("speed_kn", "x", "y", "course_rad", "time_ms")
 _VERSIONS: Final = {
     2: _Version(
         Struct("<I24xH2xHH4xff12xIf32xf4xii4xf16xI"),
-        ("offset", "size", "channel", "packet", "first_ft", "last_ft", "start_s", "depth_ft", *_TAIL),
+        ("offset", "size", "channel", "packet", *_LIMITS, "depth_ft", *_TAIL),
         32,
     ),
     3: _Version(
-        Struct("<I4xH2xH6xff12xIIfB31xf4xii4xf16xI40x"),
-        ("offset", "size", "channel", "first_ft", "last_ft", "start_s", "packet", "depth_ft", "frequency", *_TAIL),
+        Struct("<IIH2xH6xff12xIIfB31xf4xii4xf16xI40x"),
+        ("offset", "version", "size", "channel", *_LIMITS, "packet", "depth_ft", "frequency", *_TAIL),
         12,
     ),
 }
@@ -149,7 +156,7 @@ def _decoder(version: _Version, start_s: int, path: Path) -> Callable[[LogReport
             if frame["channel"] not in (_LEFT, _RIGHT, _BOTH):
                 report.counters[f"reader.not_used.channel_{frame['channel']}"] += 1
                 return
-            port, starboard = _sides(frame, framed.message, version.header.size, report)
+            port, starboard = _sides(frame, framed.message, version.samples_at(frame), report)
             if port is None and starboard is None:
                 return
             yield Sounding(

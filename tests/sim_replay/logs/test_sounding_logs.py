@@ -113,6 +113,25 @@ def test_metres_of_the_map_become_degrees(
     assert place(x, y) == pytest.approx((latitude_deg, longitude_deg), abs=1e-5)
 
 
+def test_frames_of_version_13_have_a_longer_header(tmp_path: Path) -> None:
+    write_lowrance(tmp_path / "10.sl3", EVENTS, version=3)
+    data = (tmp_path / "10.sl3").read_bytes()
+    longer, at = bytearray(data[:8]), 8
+    while at < len(data):
+        (n_bytes,) = struct.unpack_from("<H", data, at + 8)
+        header = bytearray(data[at : at + 168] + b"\x55" * 12)
+        struct.pack_into("<IIH", header, 0, len(longer), 13, n_bytes + 12)
+        longer += header + data[at + 168 : at + n_bytes]
+        at += n_bytes
+    (tmp_path / "13.sl3").write_bytes(longer)
+    expected, found = pings_of(tmp_path / "10.sl3")[0], pings_of(tmp_path / "13.sl3")[0]
+    for one, other in zip(found, expected, strict=True):
+        for trace, same in ((one.port, other.port), (one.starboard, other.starboard)):
+            assert trace is not None
+            assert same is not None
+            assert trace.samples.tolist() == same.samples.tolist()
+
+
 def test_five_beams_of_a_ping_fill_the_way_to_the_next_from_astern(tmp_path: Path) -> None:
     data = written("5004.sdf", tmp_path).read_bytes()
     (n_bytes,) = struct.unpack_from("<I", data, 4)
