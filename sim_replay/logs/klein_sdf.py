@@ -142,8 +142,8 @@ def open_file(path: Path, config: Config, chunk_bytes: int) -> Log:
         version = _HEAD.unpack_from(framed.message)[1]
         page = _PAGES.get(version)
         if page is not None:
-            there[False] += page.low
-            there[True] += page.high
+            for is_high in (False, True):
+                there[is_high] += any(map(len, _channels(framed.message, page, is_high)))
             khz |= {float(_fields(framed.message)["khz"])} - {0.0}
     wants_low = config.sonar.subsystem == 20
     is_high = bool(there[True]) and not (wants_low and there[False])
@@ -172,8 +172,7 @@ def _decoder(is_high: bool, report: LogReport) -> Decode:
             report.counters[f"reader.not_used.page_{version}"] += 1
             return
         fields = _fields(framed.message)
-        first = 2 * (is_high and page.low)  # of the channels in use
-        channels = _channels(framed.message, fields["header_bytes"], page, first + 2 * page.n_beams)[first:]
+        channels = _channels(framed.message, page, is_high)
         time_s = _time_s(fields)
         if math.isnan(time_s):
             report.counters["reader.time_invalid"] += 1
@@ -197,10 +196,11 @@ def _decoder(is_high: bool, report: LogReport) -> Decode:
     return decode
 
 
-def _channels(page: bytes, n_header: int, kind: _Page, n_channels: int) -> list[NDArray[Any]]:
-    """Read the first vectors of samples, each behind its count; empty ones where the page ends before."""
-    at, count, channels = len(_MARK) + n_header, np.dtype(kind.length), []
-    for _ in range(n_channels):
+def _channels(page: bytes, kind: _Page, is_high: bool) -> list[NDArray[Any]]:
+    """Read the vectors of samples of a frequency, each behind its count; empty ones where the page ends before."""
+    first = 2 * (is_high and kind.low)  # behind those of the low frequency
+    at, count, channels = len(_MARK) + _fields(page)["header_bytes"], np.dtype(kind.length), []
+    for _ in range(first + 2 * kind.n_beams if (kind.high if is_high else kind.low) else 0):
         (n_samples,) = np.frombuffer(page, count, 1, at) if at + count.itemsize <= len(page) else (0,)
         at += count.itemsize
         n_bytes = int(n_samples) * np.dtype(kind.sample).itemsize
@@ -208,7 +208,7 @@ def _channels(page: bytes, n_header: int, kind: _Page, n_channels: int) -> list[
             np.frombuffer(page[at : at + n_bytes], kind.sample) if at + n_bytes <= len(page) else np.empty(0)
         )
         at += n_bytes
-    return channels
+    return channels[first:]
 
 
 def _time_s(fields: dict[str, Any]) -> float:

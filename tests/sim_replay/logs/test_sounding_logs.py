@@ -163,6 +163,24 @@ def test_of_two_frequencies_of_a_klein_log_the_highest_is_used_or_the_one_config
     assert np.array_equal(first.samples, sent.samples // factor)
 
 
+@pytest.mark.parametrize("subsystem", [None, 20, 21])
+@pytest.mark.parametrize("first", [0, 2])
+def test_a_klein_log_of_one_frequency_alone_is_read(
+    first: int, subsystem: Literal[20, 21] | None, tmp_path: Path
+) -> None:
+    data, whole = written("3000.sdf", tmp_path).read_bytes(), bytearray()
+    n_bytes = 4 + struct.unpack_from("<I", data, 4)[0]
+    for at in range(0, len(data), n_bytes):
+        head, vectors = bytearray(data[at : at + 516]), [data[at + 516 + n * 1602 :][:1602] for n in range(4)]
+        body = b"".join(vector if first <= n < first + 2 else bytes(2) for n, vector in enumerate(vectors))
+        struct.pack_into("<I", head, 4, 512 + len(body))
+        whole += head + body
+    (tmp_path / "3000.sdf").write_bytes(whole)
+    events = list(open_log(tmp_path / "3000.sdf", Config(sonar=SonarConfig(subsystem=subsystem))))
+    assert len(pings(iter(events))) == N_PINGS
+    assert codes(events) == []
+
+
 def test_a_sound_speed_that_is_set_scales_ranges(tmp_path: Path) -> None:
     for name in ("log.sl2", "3502.sdf"):
         path = written(name, tmp_path)
