@@ -6,8 +6,9 @@ NMEA_WRAPPER (109, a sentence), MAVLINK_WRAPPER (150, a message as JSON). Side-s
 `sonar`, sentences to a port `nmea`, positions and attitudes of MAVLink, put into NMEA 0183, to a port `mavlink`.
 
 No packet carries the time at which it was written. Pings have the sonar's counter of milliseconds, which starts at the
-head's time stamp; what stands between two pings is stamped with the later one, no more than one interval too late,
-which the times in the sentences take off again (`NavUnitSettings.use_unit_time`).
+head's time stamp. Where port and starboard have counters of their own, profiles go on with the first one's. What stands
+between two pings is stamped with the later one, no more than one interval too late, which the times in the sentences
+take off again (`NavUnitSettings.use_unit_time`).
 """
 
 from __future__ import annotations
@@ -46,6 +47,7 @@ _FREQUENCY: Final = Struct("<16xI")  # Hz
 _PROBE_PROFILES: Final = 400  # looked at to find which frequencies a log holds
 _PROBE_BYTES: Final = 8 << 20  # in this much, sonars that send several frequencies have sent each many times
 _STRAY_FRACTION: Final = 0.05  # of the commonest frequency's profiles; fewer of another do not count
+_COUNTER, _COUNTER_AT = Struct("<I"), 12  # of a profile: its timestamp_ms
 _HEAD: Final = Struct("<26xB17xff")  # of a profile: its channel, and the angles that give its side
 _COUNTER_MS: Final = 2**32  # ms after which a 32-bit counter starts over
 _MAX_WAITING: Final = 256  # navigation packets before the next ping
@@ -127,9 +129,9 @@ class SvlogRecording:
                 case ping_messages.OS_MONO_PROFILE if not self._is_in_use(message):
                     self._own["reader.not_used.frequency"] += 1
                 case ping_messages.OS_MONO_PROFILE:
-                    stamp = self._stamp(message, framed.offset)
+                    stamp, counter_ms = self._stamp(message, framed.offset)
                     yield from self._navigation(stamp)
-                    yield Recorded(SONAR_PORT, "in", stamp, to_wire(message))
+                    yield Recorded(SONAR_PORT, "in", stamp, to_wire(_counted(message, counter_ms)))
                 case ping_messages.NMEA_WRAPPER:
                     self._wait(message.payload.rstrip(b"\0\r\n ") + b"\r\n")
                 case ping_messages.MAVLINK_WRAPPER:
@@ -146,8 +148,8 @@ class SvlogRecording:
     def _is_in_use(self, message: PingMessage) -> bool:
         return not self._used_hz or is_same_frequency(_FREQUENCY.unpack_from(message.payload)[0], self._used_hz)
 
-    def _stamp(self, message: PingMessage, offset: int) -> Stamp:
-        """Compute when the last echo of a profile was received."""
+    def _stamp(self, message: PingMessage, offset: int) -> tuple[Stamp, int]:
+        """Compute when the last echo of a profile was received, and what the first head's counter was, ms."""
         start_mm, length_mm, counter_ms, sound_speed_dmps = _PROFILE.unpack_from(message.payload)
         echo_s = 2e-3 * (start_mm + length_mm) / (0.1 * sound_speed_dmps) if sound_speed_dmps else 0.0
         if not 0.0 < echo_s < _MAX_ECHO_S:
@@ -158,7 +160,7 @@ class SvlogRecording:
             self.notices.append(Notice(code="reader.time_unknown", text=text, place=place))
         channel, *angles_deg = _HEAD.unpack_from(message.payload)
         head = channel, message.source, look_side(*angles_deg)
-        time_ns = self._clock.time_ns(head, counter_ms, round(1e9 * echo_s))
+        time_ns, counter_ms = self._clock.time_ns(head, counter_ms, round(1e9 * echo_s))
         if self._clock.n_restarts > self._own["reader.sonar_restarted"]:
             self._own["reader.sonar_restarted"] = self._clock.n_restarts
             text = (
@@ -166,7 +168,7 @@ class SvlogRecording:
                 "in the log"
             )
             self.notices.append(Notice(code="reader.sonar_restarted", text=text, place=place))
-        return Stamp(time_ns, time_ns)
+        return Stamp(time_ns, time_ns), counter_ms
 
     def _wait(self, packet: bytes | dict[str, Any]) -> None:
         self._own["reader.navigation_dropped"] += len(self._waiting) == _MAX_WAITING
@@ -218,6 +220,13 @@ class SvlogRecording:
         self._clock.start(round(when.timestamp() * 1e3) * 1_000_000)
 
 
+def _counted(profile: PingMessage, counter_ms: int) -> PingMessage:
+    """Set a profile's counter."""
+    payload = bytearray(profile.payload)
+    _COUNTER.pack_into(payload, _COUNTER_AT, counter_ms)
+    return profile._replace(payload=bytes(payload))
+
+
 class _SonarTime:
     """Compute UTC of profiles from a log's start and the counters of the sonar's heads, each powered up at its own
     time.
@@ -228,7 +237,7 @@ class _SonarTime:
         self.is_used = False
         self.n_restarts = 0
         self._next_ns: int | None = 0
-        self._last_ns = 0
+        self._last_ns = self._zero_ns = 0  # of the newest ping; where the counter of the log's first head was 0
         self._counters: dict[Hashable, tuple[int, int]] = {}  # by head: the last counter, ms, and UTC where it was 0
 
     def start(self, utc_ns: int) -> None:
@@ -239,8 +248,11 @@ class _SonarTime:
         self._next_ns = utc_ns
         self._counters.clear()
 
-    def time_ns(self, head: Hashable, counter_ms: int, echo_ns: int) -> int:
-        """Compute when the last echo of a ping was received; the time decreases only where a new log begins."""
+    def time_ns(self, head: Hashable, counter_ms: int, echo_ns: int) -> tuple[int, int]:
+        """Compute when the last echo of a ping was received, and what the first head's counter was at the ping, ms.
+
+        The time decreases only where a new log begins.
+        """
         self.is_used = True
         known = self._counters.get(head)
         if known is not None and (counter_ms - known[0]) % _COUNTER_MS < _COUNTER_MS // 2:
@@ -248,21 +260,21 @@ class _SonarTime:
         elif known is not None and known[0] - counter_ms <= _RESTART_MS:
             zero_ns = known[1]  # an older packet
         elif self._next_ns is not None:
-            zero_ns = self._next_ns - counter_ms * 1_000_000
+            zero_ns = self._zero_ns = self._next_ns - counter_ms * 1_000_000
         else:
-            zero_ns = self._zero_of_another(head, counter_ms, restarted=known is not None)
+            zero_ns = self._zero_of_another(head, counter_ms, echo_ns, restarted=known is not None)
         if self._next_ns is not None:
             self._last_ns, self._next_ns = 0, None
         self._counters[head] = counter_ms, zero_ns
         self._last_ns = max(zero_ns + counter_ms * 1_000_000 + echo_ns, self._last_ns)
-        return self._last_ns
+        return self._last_ns, (counter_ms + round(1e-6 * (zero_ns - self._zero_ns))) % _COUNTER_MS
 
-    def _zero_of_another(self, head: Hashable, counter_ms: int, *, restarted: bool) -> int:
+    def _zero_of_another(self, head: Hashable, counter_ms: int, echo_ns: int, *, restarted: bool) -> int:
         for other, (last_ms, zero_ns) in self._counters.items():
             if other != head and abs(counter_ms - last_ms) <= _RESTART_MS:
                 return zero_ns
         self.n_restarts += restarted
-        return self._last_ns + _RESTART_GAP_NS * restarted - counter_ms * 1_000_000
+        return self._last_ns + (_RESTART_GAP_NS if restarted else -echo_ns) - counter_ms * 1_000_000
 
 
 class _Mavlink:

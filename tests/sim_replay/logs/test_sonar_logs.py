@@ -402,9 +402,13 @@ def test_a_sonar_that_was_powered_up_anew_goes_on_in_time(tmp_path: Path) -> Non
     assert log.counters["reader.sonar_restarted"] == 1
 
 
+@pytest.mark.parametrize("n_before", [0, 60])
 @pytest.mark.parametrize("look_deg", [0.0, 90.0])
-def test_heads_that_share_a_channel_have_counters_of_their_own(look_deg: float, tmp_path: Path) -> None:
-    """The other head was powered up a minute later; they differ by device number, or by look angle."""
+def test_heads_that_share_a_channel_have_counters_of_their_own(look_deg: float, n_before: int, tmp_path: Path) -> None:
+    """The other head was powered up a minute later; they differ by device number, or by look angle.
+
+    n_before: pings that it has counted more.
+    """
     parts = []
     for message, _, _ in Framer(PingGrammar()).feed(written("ping_protocol", tmp_path / "whole").read_bytes()):
         profile = decode(message)
@@ -412,6 +416,7 @@ def test_heads_that_share_a_channel_have_counters_of_their_own(look_deg: float, 
             side, source = 2 * profile.channel_number - 1, 0 if look_deg else 1 + profile.channel_number
             later = profile._replace(
                 channel_number=0,
+                ping_number=profile.ping_number + n_before * profile.channel_number,
                 timestamp_ms=profile.timestamp_ms - 30_000 * (1 + side),
                 transducer_heading_deg=side * look_deg,
             )
@@ -420,7 +425,9 @@ def test_heads_that_share_a_channel_have_counters_of_their_own(look_deg: float, 
     path = tmp_path / "log"
     path.write_bytes(b"".join(parts))
     log = open_log(path, Config())
-    found, expected = pings(iter(log)), pings(iter(open_log(tmp_path / "whole", Config())))
+    events = list(log)
+    found, expected = pings(iter(events)), pings(iter(open_log(tmp_path / "whole", Config())))
     assert [ping.time_s for ping in found] == pytest.approx([ping.time_s for ping in expected], abs=1e-6)
     assert all(ping.port and ping.starboard for ping in found)
     assert log.counters["reader.sonar_restarted"] == 0
+    assert "device_clock_anchored_anew" not in {event.code for event in events if isinstance(event, Notice)}
