@@ -44,12 +44,12 @@ from sim_replay.logs.xtf_report import LogReport
 _SIDES: Final = "[Bb]00[23].[Ss][Oo][Nn]"  # names of files of side scan
 _DAT_NAMES: Final = "*.[Dd][Aa][Tt]"
 _MARK: Final = b"\xc0\xde\xab\x21"
-_DATS: Final[dict[int, tuple[Literal["big", "little"], bytes]]] = {
-    64: ("big", b"\xc1"),
-    96: ("little", b"\xc3"),
-    100: ("little", b"\xc3"),
+_DATS: Final[dict[int, tuple[Literal["big", "little"], tuple[bytes, ...]]]] = {
+    64: ("big", (b"\xc1",)),
+    96: ("little", (b"\xc3", b"\xc4")),
+    100: ("little", (b"\xc3", b"\xc4")),
 }
-"""By length in bytes: the order of bytes, and the first one."""
+"""By length in bytes: the order of bytes, and the first ones known."""
 _ONIX: Final = b"<NumberOfPings="  # in the text of a recording without a date
 _MAX_DAT_BYTES: Final = 1 << 16  # of the longest, which holds text (chosen)
 _START_AT: Final = 20  # byte of the beginning, s since 1970
@@ -110,7 +110,7 @@ def _start_s(folder: Path) -> int:
     home = folder.resolve()
     beside = [path for path in home.parent.glob(_DAT_NAMES) if path.stem == home.name]
     for path in [*beside, *sorted(home.glob(_DAT_NAMES))]:
-        order, first = _DATS.get(path.stat().st_size, ("big", b"")) if path.is_file() else ("big", b"")
+        order, first = _DATS.get(path.stat().st_size, ("big", ())) if path.is_file() else ("big", ())
         if first and (data := read_regular(path, _MAX_DAT_BYTES)).startswith(first):
             return int.from_bytes(data[_START_AT : _START_AT + 4], order)
     return 0

@@ -218,6 +218,16 @@ def test_a_humminbird_recording_is_one_log_by_any_of_its_names(tmp_path: Path, m
         open_log(dat, Config())
 
 
+@pytest.mark.parametrize("n_bytes", [96, 100])
+def test_the_dat_file_of_an_xplore_gives_the_time_of_its_recording(n_bytes: int, tmp_path: Path) -> None:
+    dat = tmp_path / "R00001.DAT"
+    write_humminbird(dat, EVENTS, model="Solix")
+    expected, _ = pings_of(dat)
+    dat.write_bytes(b"\xc4" + dat.read_bytes()[1:] + bytes(n_bytes - 96))
+    assert find_format(dat).name == "humminbird"
+    assert [ping.time_s for ping in pings_of(dat)[0]] == [ping.time_s for ping in expected]
+
+
 @pytest.mark.parametrize("name", ["B002.SON", "3502.sdf"])
 def test_info_describes_a_log(name: str, tmp_path: Path) -> None:
     info = describe(written(name, tmp_path), Config())
