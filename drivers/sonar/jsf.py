@@ -23,8 +23,8 @@ from drivers.sonar.jsf_messages import (
     SIDE_SCAN,
     STARBOARD,
     SYSTEM_TIME,
+    USED_FORMATS,
     Command,
-    DataFormat,
     JsfMessage,
     PositionUnits,
     SideScanData,
@@ -166,7 +166,8 @@ class JsfGrammar(Grammar[JsfMessage]):
                 return "length"
             if n_there < at + _LENGTH_KNOWN_BYTES:
                 return None
-            if not 0 <= n_body - declared_data_bytes(buffer, at + HEADER_BYTES) <= _PADDING_BYTES:
+            declared = declared_data_bytes(buffer, at + HEADER_BYTES)
+            if declared is not None and not 0 <= n_body - declared <= _PADDING_BYTES:
                 return "length"
         elif _is_long(kind, n_body):
             if n_there < end + HEADER_BYTES or not self._needs_a_follower(kind, n_body, end):
@@ -361,7 +362,7 @@ def commands(settings: SonarSettings) -> tuple[bytes, ...]:
 def _unusable(data: SideScanData, spacing_m: float) -> str | None:
     """Return why no trace can be made of it, in one word."""
     header = data.header
-    if header.data_format not in (DataFormat.ENVELOPE, DataFormat.ANALYTIC, DataFormat.REAL):
+    if header.data_format not in USED_FORMATS:
         return "data_format"
     if (
         header.n_samples == 0

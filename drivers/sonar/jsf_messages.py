@@ -68,6 +68,8 @@ class DataFormat(IntEnum):
     UNMATCHED_ANALYTIC = 9  # i16 real, imaginary
 
 
+USED_FORMATS: Final = (DataFormat.ENVELOPE, DataFormat.ANALYTIC, DataFormat.REAL)  # of which traces are made
+_MAX_FORMAT: Final = 255  # beyond it the samples are in a form of EdgeTech's own
 _TWO_VALUES_PER_SAMPLE: Final = (DataFormat.ANALYTIC, DataFormat.UNMATCHED_ANALYTIC)
 
 
@@ -263,17 +265,23 @@ def decode_data(body: bytes) -> SideScanData | None:
     if len(body) < DATA_HEADER_BYTES:
         return None
     header = SideScanHeader(*DATA_HEADER.unpack_from(body))
-    n_values = header.n_samples * values_per_sample(header.data_format)
+    is_own = not 0 <= header.data_format <= _MAX_FORMAT
+    n_values = 0 if is_own else header.n_samples * values_per_sample(header.data_format)
     if len(body) < DATA_HEADER_BYTES + 2 * n_values:
         return None
     kind = "<u2" if header.data_format == DataFormat.ENVELOPE else "<i2"
     return SideScanData(header, np.frombuffer(body, dtype=kind, count=n_values, offset=DATA_HEADER_BYTES))
 
 
-def declared_data_bytes(buffer: bytearray, body_at: int) -> int:
-    """Return the bytes of body that a data message declares; its first 116 bytes of body must be there."""
+def declared_data_bytes(buffer: bytearray, body_at: int) -> int | None:
+    """Return the bytes of body that a data message declares, None for a form of EdgeTech's own.
+
+    Its first 116 bytes of body must be there.
+    """
     msb, low = _SAMPLES.unpack_from(buffer, body_at + 16)
     (data_format,) = _DATA_FORMAT.unpack_from(buffer, body_at + 34)
+    if not 0 <= data_format <= _MAX_FORMAT:
+        return None
     n_samples: int = low | (msb >> 8 & 0xF) << 16
     return DATA_HEADER_BYTES + 2 * values_per_sample(data_format) * n_samples
 

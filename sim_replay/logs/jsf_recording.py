@@ -29,6 +29,7 @@ from drivers.sonar.jsf_messages import (
     PRESSURE,
     SIDE_SCAN,
     STARBOARD,
+    USED_FORMATS,
     JsfMessage,
     SideScanHeader,
     sound_speed_in,
@@ -176,9 +177,10 @@ class JsfRecording:
         names = " and ".join(map(str, found))
         if not found:
             raise BadInputError(
-                f"{path} holds no side-scan message (type 80 of subsystem 20, 21 or 22). Whole messages in it: "
-                f"{self._inventory()}. Fetch the file again if it was cut off, or give a log recorded with side scan "
-                "switched on."
+                f"{path} holds no side-scan message (type 80 of subsystem 20, 21 or 22, in data format 0, 1 or 3). "
+                f"Whole messages in it: {self._inventory()}. Fetch the file again if it was cut off, or give a log "
+                "recorded with side scan switched on. Formats above 255 are EdgeTech's own: convert them "
+                "with its software."
             )
         if wanted is not None and wanted not in found:
             raise UsageError(
@@ -197,9 +199,11 @@ class JsfRecording:
             if framed.message.message_type in clocks and len(framed.message.body) >= _STRING_AT:
                 clocks[framed.message.message_type].hear(*_TIME.unpack_from(framed.message.body))
             elif _is_any_channel(framed.message):
+                header = SideScanHeader(*DATA_HEADER.unpack_from(framed.message.body))
+                if header.data_format not in USED_FORMATS:
+                    continue
                 self._probed.append(framed.message)
                 seen[framed.message.subsystem] += 1
-                header = SideScanHeader(*DATA_HEADER.unpack_from(framed.message.body))
                 self._has_clock = self._has_clock or header.utc_s > 0.0
                 for clock in clocks.values():
                     clock.ping(header.utc_s)
@@ -213,9 +217,10 @@ class JsfRecording:
         kinds: Counter[str] = Counter()
         for framed in self._file:
             message = framed.message
-            name = f"type {message.message_type}" + (
-                f" of subsystem {message.subsystem}" if message.message_type == SIDE_SCAN else ""
-            )
+            name = f"type {message.message_type}"
+            if message.message_type == SIDE_SCAN:
+                header = SideScanHeader(*DATA_HEADER.unpack_from(message.body))
+                name += f" of subsystem {message.subsystem} in data format {header.data_format}"
             kinds[name] += 1
         return ", ".join(f"{n} of {name}" for name, n in kinds.most_common(8)) or "none"
 

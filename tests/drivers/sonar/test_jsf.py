@@ -16,6 +16,7 @@ from auv_mcm.records import Notice
 from drivers.framing import Framer
 from drivers.sonar.jsf import JsfDecoder, JsfGrammar, commands
 from drivers.sonar.jsf_messages import (
+    DATA_HEADER,
     PING_ENABLE,
     PING_GAIN,
     PING_RANGE,
@@ -367,6 +368,16 @@ def test_a_number_of_samples_that_the_size_denies_is_refused() -> None:
     framer = Framer(JsfGrammar())
     assert framer.feed(bytes(wire)) + framer.finish() == []
     assert framer.counters["jsf.refused.length"] == 1
+
+
+@pytest.mark.parametrize("n_bytes", [1, 400])
+def test_samples_in_a_form_of_the_makers_own_are_whole_messages_of_any_size(n_bytes: int) -> None:
+    packed = read(side(0))._replace(body=DATA_HEADER.pack(*header(data_format=256, samples_low=3)) + bytes(n_bytes))
+    framer, wire = Framer(JsfGrammar()), to_wire(packed) + side(1)
+    assert [framed.message.channel for framed in framer.feed(wire) + framer.finish()] == [0, 1]
+    decoder = JsfDecoder()
+    assert [frame.port for frame in frames_of(decoder, wire)] == [None]
+    assert decoder.counters["jsf.refused.data_format"] == 1
 
 
 def test_commands_say_what_was_meant() -> None:

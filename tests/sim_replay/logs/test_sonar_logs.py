@@ -114,6 +114,33 @@ def test_a_jsf_log_without_side_scan_is_rejected_with_its_contents(tmp_path: Pat
         open_log(path, Config())
 
 
+def _packed(message: JsfMessage, **changes: int) -> bytes:
+    """Cut a message to a third and give it a data format of EdgeTech's own."""
+    body = message.body[:34] + b"\x00\x01" + message.body[36 : 240 + (len(message.body) - 240) // 3]
+    return jsf_wire(message._replace(body=body, **changes))
+
+
+def test_side_scan_in_a_data_format_that_is_not_read_is_refused_in_words(tmp_path: Path) -> None:
+    messages = [framed.message for framed in _jsf(written("jsf", tmp_path / "whole").read_bytes())]
+    path = tmp_path / "packed"
+    path.write_bytes(b"".join(_packed(message) for message in messages if message.message_type == 80))
+    with pytest.raises(BadInputError, match=r"of type 80 of subsystem 21 in data format 256\..*convert them with its"):
+        open_log(path, Config())
+
+
+@pytest.mark.parametrize("subsystem", [0, 22])
+def test_what_is_recorded_in_another_data_format_beside_side_scan_is_no_damage(subsystem: int, tmp_path: Path) -> None:
+    plain = written("jsf", tmp_path / "plain")
+    path = tmp_path / "both"
+    path.write_bytes(
+        b"".join(
+            jsf_wire(f.message) + (_packed(f.message, subsystem=subsystem) if f.message.message_type == 80 else b"")
+            for f in _jsf(plain.read_bytes())
+        )
+    )
+    assert [repr(event) for event in open_log(path, Config())] == [repr(e) for e in open_log(plain, Config())]
+
+
 def test_pitch_and_roll_of_the_motion_sensor_serve_where_nothing_else_gives_them(tmp_path: Path) -> None:
     def motion(at_s: float) -> bytes:
         body = bytearray(44)
