@@ -15,6 +15,7 @@ import msgspec
 
 from auv_mcm import __version__
 from auv_mcm.errors import AuvMcmError, BadInputError, UsageError
+from auv_mcm.model_file import NONE, SHIPPED
 from auv_mcm.safe_files import read_regular
 from auv_mcm.settings.config import Config
 from auv_mcm.shell.recovery import RECORDING, SUMMARY
@@ -114,13 +115,13 @@ def resolved_log(entry: object, folder: Path) -> Path:
 def is_replayed(folder: Path, config: Config) -> bool:
     """Check whether a folder holds whole results of unchanged logs, by this version with this configuration.
 
-    Bottom lines that were corrected since count as a change.
+    Bottom lines that were corrected since count as a change, and so do files that the configuration names.
     """
     summary = summary_of(folder)
     if summary is None:
         return False
     made_ns = (folder / SUMMARY).stat().st_mtime_ns
-    same_log = all(_is_unchanged(entry, made_ns) for entry in summary["logs"])
+    same_log = all(_is_unchanged(entry, made_ns) for entry in summary["logs"]) and _are_older(config, made_ns)
     same_log = same_log and _used_lines(summary) == lines_beside(map(named_path, summary["logs"]))
     return same_log and _is_same(summary["config"], config) and summary["version"] == __version__
 
@@ -149,6 +150,17 @@ def _is_unchanged(entry: dict[str, Any], made_ns: int) -> bool:
     except OSError:
         return False
     return status.st_size == entry["bytes"] and status.st_mtime_ns <= made_ns
+
+
+def _are_older(config: Config, made_ns: int) -> bool:
+    """Check that the models and lists that a configuration names are older than results."""
+    detect, confirm = config.detect, config.confirm
+    names = detect.model, detect.gate, detect.seabed_model, detect.performance, confirm.odds, confirm.targets
+    files = {*names, config.contacts.background} - {SHIPPED, NONE}
+    try:
+        return all(os.stat(file).st_mtime_ns <= made_ns for file in files)
+    except OSError:
+        return False
 
 
 def _used_lines(summary: dict[str, Any]) -> set[tuple[str, str]]:

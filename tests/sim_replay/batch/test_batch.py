@@ -16,7 +16,7 @@ import pytest
 from auv_mcm.cli import main
 from auv_mcm.errors import BadInputError, HardwareError, UsageError
 from auv_mcm.records import CoveragePatch
-from auv_mcm.settings.config import Config, ContactsConfig
+from auv_mcm.settings.config import Config, ConfirmConfig, ContactsConfig
 from sim_replay.batch import missions as batch_missions
 from sim_replay.batch.index import write_index
 from sim_replay.batch.missions import MISSIONS, MissionOutcome, MissionTask, locked, replay_missions
@@ -189,6 +189,20 @@ def test_results_of_another_configuration_or_of_a_log_that_changed_are_made_anew
         assert not is_replayed(folder, Config())
     finally:
         os.utime(log, ns=times)
+
+
+def test_results_are_made_anew_after_a_file_that_the_configuration_names_has_changed(
+    archive: Path, tmp_path: Path
+) -> None:
+    mines, task = tmp_path / "mines.yaml", tasks_of(archive, tmp_path)[0]
+    mines.write_text("mines: [{kind: wedge}]")
+    config = Config(confirm=ConfirmConfig(targets=str(mines)))
+    replay([task.log.path], task.folder, config)
+    assert is_replayed(task.folder, config)
+    mines.write_text("mines: [{kind: sphere}]")
+    assert not is_replayed(task.folder, config)
+    mines.unlink()
+    assert not is_replayed(task.folder, config), "so that a replay says which file is missing"
 
 
 def end_process(task: MissionTask) -> None:
