@@ -35,6 +35,7 @@ Direction = Annotated[float, Meta(ge=-360.0, le=720.0)]
 Decibel = Annotated[float, Meta(ge=-100.0, le=100.0)]
 Length = Annotated[float, Meta(ge=0.0, le=200.0)]
 SizeRange = tuple[Length, Length]
+InPlane = Annotated[float, Meta(ge=-50_000.0, le=50_000.0)]  # m: farther out the plane is no map of the sea floor
 
 
 class _Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -120,8 +121,8 @@ class SceneObject(_Section, frozen=True, kw_only=True):
     """
 
     kind: ObjectKind
-    east_m: Annotated[float, Meta(ge=-50_000.0, le=50_000.0)] | None = None
-    north_m: Annotated[float, Meta(ge=-50_000.0, le=50_000.0)] | None = None
+    east_m: InPlane | None = None
+    north_m: InPlane | None = None
     latitude_deg: Annotated[float, Meta(ge=-90.0, le=90.0)] | None = None
     longitude_deg: Annotated[float, Meta(ge=-180.0, le=180.0)] | None = None
     leg: Annotated[int, Meta(ge=0)] | None = None
@@ -251,8 +252,8 @@ class Lawnmower(_Section, frozen=True, kw_only=True, tag_field="pattern", tag="l
     n_legs: Annotated[int, Meta(ge=1, le=200)] = 2
     leg_m: Annotated[float, Meta(gt=0.0, le=20_000.0)] = 150.0
     spacing_m: Annotated[float, Meta(gt=0.0, le=2000.0)] = 60.0
-    start_east_m: float = 0.0
-    start_north_m: float = 0.0
+    start_east_m: InPlane = 0.0
+    start_north_m: InPlane = 0.0
 
 
 class Spiral(_Section, frozen=True, kw_only=True, tag_field="pattern", tag="spiral"):
@@ -262,14 +263,14 @@ class Spiral(_Section, frozen=True, kw_only=True, tag_field="pattern", tag="spir
     n_legs: Annotated[int, Meta(ge=2, le=200)] = 8
     first_leg_m: Annotated[float, Meta(gt=0.0, le=5000.0)] = 60.0
     spacing_m: Annotated[float, Meta(gt=0.0, le=2000.0)] = 60.0
-    start_east_m: float = 0.0
-    start_north_m: float = 0.0
+    start_east_m: InPlane = 0.0
+    start_north_m: InPlane = 0.0
 
 
 class Waypoints(_Section, frozen=True, kw_only=True, tag_field="pattern", tag="waypoints"):
     """Fly straight legs through points (east_m, north_m)."""
 
-    points_m: Annotated[tuple[tuple[float, float], ...], Meta(min_length=2, max_length=1000)]
+    points_m: Annotated[tuple[tuple[InPlane, InPlane], ...], Meta(min_length=2, max_length=1000)]
 
 
 class Motion(_Section, frozen=True, kw_only=True):

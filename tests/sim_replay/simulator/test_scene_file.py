@@ -48,6 +48,8 @@ def test_a_plan_is_all_that_a_scene_needs() -> None:
         ("track: {plan: {pattern: lawnmower}, motion: {current_mps: 1.7}}", "track.motion.current_mps", "1.44"),
         ("track: {plan: {pattern: waypoints, points_m: [[0, 0], [0, 0]]}}", "track.plan", "leg 0"),
         ("track: {plan: {pattern: waypoints, points_m: [[0, 0]]}}", "track.plan.points_m", "length >= 2"),
+        ("track: {plan: {pattern: waypoints, points_m: [[0, 0], [0, 1e6]]}}", "track.plan.points_m[1][1]", "<= 50000"),
+        ("track: {plan: {pattern: lawnmower, start_north_m: -1e6}}", "track.plan.start_north_m", ">= -50000"),
         (PLAN + "world: {slope_deg: 20}", "world.slope_deg", "leaves"),
         (PLAN + "world: {seabeds: []}", "world.seabeds", "length >= 1"),
         (PLAN + "world: {seabeds: [{type: lava}]}", "world.seabeds[0].type", "lava"),
