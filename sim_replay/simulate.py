@@ -52,9 +52,10 @@ def simulate(
         nonlocal last_s
         for event in mission.events():
             if isinstance(event, Ping):
-                last_s = event.time_s
+                last_s = event.time_s - _stepped_s(scene, event)
                 progress(min(1.0, (last_s - scene.track.start_time_s) / expected_s))
             yield event
+        (folder / TRUTH_NAME).unlink(missing_ok=True)  # it belongs to the log that is replaced now
 
     log = folder / LOG_NAME
     n_pings = write_xtf(
@@ -71,6 +72,11 @@ def simulate(
         n_objects=len(facts["objects"]),
         n_targets=sum(one["is_target"] for one in facts["objects"]),
     )
+
+
+def _stepped_s(scene: Scene, ping: Ping) -> float:
+    """Sum up by how much faults moved the clock until a ping, s."""
+    return sum(one.step_s for one in scene.faults if one.kind == "clock_step" and one.at_ping <= ping.number)
 
 
 def _expected_s(track: Track) -> float:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from auv_mcm.cli import main
 from auv_mcm.errors import UsageError
@@ -15,7 +16,7 @@ from auv_mcm.settings.config import SonarConfig
 from sim_replay.logs.xtf import XtfLog
 from sim_replay.simulate import simulate
 from sim_replay.simulator.mission import Mission
-from sim_replay.simulator.scene import Scene
+from sim_replay.simulator.scene import Fault, Scene
 from sim_replay.simulator.scene_file import parse_scene
 
 TEXT = """
@@ -120,6 +121,26 @@ def test_a_mission_that_breaks_off_leaves_no_piece_of_a_log(
     with pytest.raises(KeyboardInterrupt):
         simulate(scene, tmp_path)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_log_never_has_the_truth_of_the_mission_before_beside_it(
+    scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(*_: object) -> None:
+        raise OSError(28, "No space left on device", "truth.json")
+
+    before = simulate(scene, tmp_path).log.read_bytes()
+    monkeypatch.setattr("sim_replay.simulate.write_json", broken)
+    with pytest.raises(OSError, match="No space left"):
+        simulate(replace(scene, seed=2), tmp_path)
+    assert (tmp_path / "mission.xtf").read_bytes() != before
+    assert not (tmp_path / "truth.json").exists()
+
+
+def test_a_mission_lasts_as_long_whatever_its_clock_does(scene: Scene, tmp_path: Path) -> None:
+    steps = (Fault(kind="clock_step", at_ping=20, step_s=-3600.0), Fault(kind="clock_step", at_ping=40, step_s=60.0))
+    sound, stepped = simulate(scene, tmp_path / "a"), simulate(replace(scene, faults=steps), tmp_path / "b")
+    assert stepped.duration_s == pytest.approx(sound.duration_s, abs=1e-3)
 
 
 def test_the_scenes_that_ship_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
