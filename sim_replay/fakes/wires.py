@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Final, Protocol, TypeAlias
+from urllib.parse import quote
 
 from drivers.links.can_frame import CanFrame
 from sim_replay.fakes.faults import FaultRates, Faults
@@ -89,7 +90,7 @@ class SerialWire:
 
     def __init__(self, device: Device, path: Path, weather: Weather, hear: Heard | None) -> None:
         self.port = FakePort(path, device.baud, weather, hear)
-        self.uri = f"serial://{path}?baud={device.host_baud or device.baud}{_silence(device, '&')}"
+        self.uri = f"serial://{quote(str(path))}?baud={device.host_baud or device.baud}{_silence(device, '&')}"
         self._baud = device.baud
 
     @property
@@ -136,7 +137,8 @@ class SlcanWire(SerialWire):
     def __init__(self, device: Device, path: Path, weather: Weather, hear: Heard | None) -> None:
         super().__init__(device, path, weather, None)
         self.uri = (
-            f"slcan://{path}?bitrate={device.bus_bitrate}&baud={device.host_baud or device.baud}{_silence(device, '&')}"
+            f"slcan://{quote(str(path))}?bitrate={device.bus_bitrate}&baud={device.host_baud or device.baud}"
+            f"{_silence(device, '&')}"
         )
         self._adapter = FakeSlcanAdapter(self.port, device.bus_bitrate, hear)
 

@@ -185,6 +185,13 @@ def test_navigation_units_report_every_sample(tmp_path: Path, name: Any) -> None
     assert not any("refused" in counter for counter in bench.counters)
 
 
+@pytest.mark.parametrize("link", ["serial", "slcan"])
+def test_a_port_opens_in_a_folder_with_blanks_and_umlauts_in_its_name(tmp_path: Path, link: Any) -> None:
+    (folder := tmp_path / "büro 50% #1?").mkdir()
+    bench = played(folder, Device(device="nmea0183" if link == "serial" else "nmea2000", link=link), n_pings=3)
+    assert any(isinstance(item, NavFix) for item in bench.reported)
+
+
 def test_a_cable_that_is_pulled_comes_back_with_the_same_counter_and_one_without_power_with_a_new_one(
     tmp_path: Path,
 ) -> None:
