@@ -65,7 +65,7 @@ ports:
   - {name: nav, link: 'udp://127.0.0.1:0?peer=127.0.0.1:8', device: nmea0183}
 """
 TARGETS = "targets: [{kind: cylinder, side: port, ping: 60, ground_range_m: 12}]\n"
-TRAINING = "scenes: [flat]\nseeds: {train: {first: 600, count: 1}}\n"
+TRAINING = "scenes: [flat]\nseeds: {train: {first: 600, count: 1}, validate: {first: 700, count: 1}}\n"
 PLACEHOLDERS = {
     "LOG": "mission.xtf",
     "QUIET": "mission.xtf",

@@ -319,7 +319,10 @@ def _contradictions(spec: Spec) -> Iterator[str]:
     if not spec.scenes and not spec.augmented:
         yield "nothing to render: give `scenes` and `seeds`, or `augmented`"
     if spec.scenes and spec.seeds is None:
-        yield "`scenes` are given without `seeds`. Give at least seeds: {train: {first: 600, count: 1}}"
+        yield (
+            "`scenes` are given without `seeds`. Give at least "
+            "seeds: {train: {first: 600, count: 1}, validate: {first: 700, count: 1}}"
+        )
     if spec.seeds is not None and not spec.scenes:
         yield "`seeds` are given without `scenes`"
     ranges = list(_seeds_by_split(spec))

@@ -12,7 +12,7 @@ from auv_mcm.detect.cascade.model import encode_model
 from auv_mcm.errors import UsageError
 from auv_mcm.shell.whole_files import write_file
 from sim_replay.fitting.cascade.farm import Farm
-from sim_replay.fitting.cascade.spec import read_training_spec
+from sim_replay.fitting.cascade.spec import Spec, read_training_spec
 from sim_replay.fitting.cascade.store import MANIFEST_NAME, read_manifest
 from sim_replay.fitting.cascade.trainer import train
 from sim_replay.fitting.cascade.training_images import render_set, tile_set_words
@@ -37,10 +37,11 @@ def train_model(
     Raises
     ------
     UsageError
-        For an `out` that cannot be written, before any work, and for a spec that cannot be read.
+        Before any work for an `out` that cannot be written, and for a spec that cannot be read or lacks a split.
     """
     if not out.parent.is_dir():
         raise UsageError(f"--out {out}: there is no folder {out.parent}. Make it first")
+    _refuse_incomplete(read_training_spec(spec)[0], spec)
     with tempfile.TemporaryDirectory() as passing:
         folder = tiles or Path(passing)
         if not _holds_tiles_of(folder, spec):
@@ -51,6 +52,16 @@ def train_model(
         write_file(out, data)
     except OSError as error:
         raise UsageError(f"--out {out} cannot be written: {error.strerror}") from error
+
+
+def _refuse_incomplete(known: Spec, spec: Path | None) -> None:
+    """Refuse a set with nothing to train on, or nothing to validate by. Raises UsageError."""
+    for split in ("train", "validate"):
+        if getattr(known.seeds, split, None) is None and all(line.split != split for line in known.augmented):
+            raise UsageError(
+                f"{spec}: training needs the split `{split}`. Give `seeds.{split}`, such as {{first: 700, count: 1}}, "
+                f"or an augmented folder with `split: {split}`"
+            )
 
 
 def _holds_tiles_of(folder: Path, spec: Path | None) -> bool:

@@ -29,3 +29,19 @@ def test_a_place_that_cannot_be_written_to_is_refused_before_any_work(
 ) -> None:
     assert main(["train", "--out", str(tmp_path / "nowhere" / "model.json")]) == 2
     assert "there is no folder" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("text", "lacks"),
+    [
+        ("scenes: [flat]\nseeds: {train: {first: 600, count: 1}}\n", "validate"),
+        ("augmented: [{folder: line, split: validate}]\n", "train"),
+    ],
+)
+def test_a_set_without_a_split_that_training_needs_is_refused_before_any_of_it_is_rendered(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], text: str, lacks: str
+) -> None:
+    monkeypatch.setattr("sim_replay.fitting.cascade.train_cascade.render_set", None)
+    (spec := tmp_path / "spec.yaml").write_text(text)
+    assert main(["train", str(spec), "--out", str(tmp_path / "model.json")]) == 2
+    assert f"{spec}: training needs the split `{lacks}`" in capsys.readouterr().err
