@@ -7,6 +7,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, redirect_stdout
 from functools import partial
+from hashlib import sha256
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -18,6 +19,7 @@ from auv_mcm.pipeline import Pipeline
 from auv_mcm.safe_files import read_regular
 from auv_mcm.settings.config import Config, config_yaml
 from auv_mcm.shell.whole_files import write_file
+from sim_replay.augment.augment_log import TRUTH_NAME
 from sim_replay.fitting.calibrate_odds import Missions, fit_from_missions
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
 from sim_replay.fitting.cascade.spec import on_grid
@@ -96,7 +98,7 @@ def fit_theatre(
         For a folder that cannot be written to or has files of another spec, without PyTorch for the network alone, and
         as the fits do.
     """
-    _begin(folder, spec, network_alone=network_alone)
+    _begin(folder, spec + _flown_with(theatre), network_alone=network_alone)
     shipped, files = theatre, dict[str, str]()
     for step in _steps(train, farm):
         if network_alone and step.file in (_DETECTOR, _PERFORMANCE):
@@ -113,6 +115,14 @@ def fit_theatre(
         return judged({"shipped": shipped, "own": theatre}, farm, show)
 
 
+def _flown_with(theatre: Theatre) -> bytes:
+    """Digest what the spec's text leaves open: the configuration, and what its scenes and lines hold."""
+    digest = sha256(config_yaml(theatre.config).encode())
+    for file in map(Path, (*theatre.scenes, *(f"{line}/{TRUTH_NAME}" for _, line in theatre.lines))):
+        digest.update(read_regular(file) if file.is_file() else b"")
+    return f"\n# flown with {digest.hexdigest()}\n".encode()
+
+
 def _begin(folder: Path, spec: bytes, *, network_alone: bool) -> None:
     """Make the folder, and keep the spec in it that its files are fitted for."""
     if network_alone and not can_train():
@@ -125,7 +135,8 @@ def _begin(folder: Path, spec: bytes, *, network_alone: bool) -> None:
     spec += _NETWORK_ALONE if network_alone else b""
     if kept.exists() and read_regular(kept) != spec:
         raise UsageError(
-            f"--out {folder} has files that were fitted otherwise or for another spec, {kept}: name a new one"
+            f"--out {folder} has files that were fitted otherwise, with another configuration or for another spec, "
+            f"{kept}: name a new one"
         )
     write_file(kept, spec)
 

@@ -186,6 +186,26 @@ def test_each_step_goes_by_the_files_before_it_and_an_interrupted_run_goes_on(
         fit_theatre.fit_theatre(alone, vehicle, b"b", folder, train, farm, watched)
 
 
+@pytest.mark.parametrize("change", ["configuration", "scene", "line"])
+def test_a_run_goes_on_only_with_what_it_began_with(
+    theatre: Theatre, tmp_path: Path, seen: dict[str, list[str]], change: str
+) -> None:
+    def fit(theatre: Theatre) -> None:
+        out, train = tmp_path / "own", lambda out: None
+        fit_theatre.fit_theatre(theatre, Config(), b"a", out, train, Farm(1), watched, network_alone=True)
+
+    (tmp_path / "line").mkdir()
+    fit(theatre)
+    if change == "configuration":
+        theatre = theatre._replace(config=Config())
+    elif change == "scene":
+        (tmp_path / "pond.yaml").write_text(SCENE.replace("sand", "mud"))
+    else:
+        (tmp_path / "line" / "truth.json").write_text("{}")
+    with pytest.raises(UsageError, match="fitted otherwise"):
+        fit(theatre)
+
+
 def test_a_network_alone_leaves_detector_and_performance_as_they_ship(
     theatre: Theatre, tmp_path: Path, seen: dict[str, list[str]]
 ) -> None:
