@@ -8,6 +8,7 @@ from pathlib import Path
 
 from auv_mcm.commands import Commands, command
 from auv_mcm.errors import UsageError
+from sim_replay.arguments import new_file
 
 
 def add(commands: Commands) -> None:
@@ -53,7 +54,7 @@ def add(commands: Commands) -> None:
     )
     parser.add_argument("--brief", action="store_true", help="print one sentence")
     parser.add_argument(
-        "--plot", metavar="PATH", type=Path, help="draw the curve of Pd over false alarms (.png, .svg, .pdf)"
+        "--plot", metavar="PATH", type=new_file, help="draw the curve of Pd over false alarms (.png, .svg, .pdf)"
     )
     parser.set_defaults(command=_run)
 
@@ -61,6 +62,10 @@ def add(commands: Commands) -> None:
 def _run(arguments: argparse.Namespace) -> int:
     from sim_replay.scoring import plot, score_files, score_json, sentence, table
 
+    scored = {path.resolve() for path in arguments.files}
+    for option, path in (("--json", arguments.json), ("--plot", arguments.plot)):
+        if path is not None and Path(path).resolve() in scored:
+            raise UsageError(f"{option} {path} is what is scored, and is never overwritten. Name another file")
     score = score_files(arguments.files, gate_m=arguments.gate_m, threshold=arguments.threshold)
     if arguments.json == "-":
         sys.stdout.write(score_json(score).decode())

@@ -79,6 +79,20 @@ def test_simulate_replay_and_score_follow_one_another(tmp_path: Path, capsys: py
     assert "--json" in capsys.readouterr().err
 
 
+def test_a_score_never_overwrites_what_it_scores(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    contacts, truth = tmp_path / "contacts.geojson", tmp_path / "truth.json"
+    contacts.write_text('{"type": "FeatureCollection", "features": []}')
+    truth.write_text('{"area_km2": 1.0, "objects": []}')
+    before = truth.read_bytes()
+    (tmp_path / "link.json").symlink_to(truth)
+    assert main(["score", str(contacts), str(truth), "--json", str(tmp_path / "link.json")]) == 2
+    assert "never overwritten" in capsys.readouterr().err
+    assert truth.read_bytes() == before
+    with pytest.raises(SystemExit, match="2"):
+        main(["score", str(contacts), str(truth), "--plot", str(tmp_path / "nowhere" / "froc.png")])
+    assert "there is no folder" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
