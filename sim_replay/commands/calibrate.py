@@ -259,7 +259,13 @@ def _on_farm(seeds: str) -> tuple[Option, ...]:
     return (
         _option("--out", metavar="FILE", type=Path, help="new file for the result, JSON"),
         _option("--seeds", metavar="FIRST-LAST", type=_seeds, help=shown),
-        *_FARM,
+        *_FARM[:-1],
+        _option(
+            "--theatre",
+            metavar="SPEC",
+            type=Path,
+            help="YAML file of 'auv-mcm train': its sonars are carried, over sea floor drawn as without it",
+        ),
     )
 
 

@@ -62,8 +62,8 @@ def run_budget_or_ask(parser: argparse.ArgumentParser, arguments: argparse.Names
     """Measure the budget if there is a speed; without one nothing was chosen."""
     if arguments.speed is None:
         parser.error(
-            "choose what to calibrate: background, budget, gate, odds, performance, seabed or sizes; or give --speed "
-            "for the budget"
+            "choose what to calibrate: background, budget, gate, odds, performance, seabed, sizes or verifier; or give "
+            "--speed for the budget"
         )
     return _run_budget(arguments)
 

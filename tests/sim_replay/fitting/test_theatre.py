@@ -25,6 +25,7 @@ from auv_mcm.detect.gate import shipped_gate
 from auv_mcm.errors import UsageError
 from auv_mcm.records import Ping
 from auv_mcm.settings.config import Config, parse_config
+from sim_replay.commands.calibrate import FITS
 from sim_replay.fitting import calibrate_odds, fit_theatre
 from sim_replay.fitting.cascade.farm import Farm
 from sim_replay.fitting.cascade.spec import SonarVariant
@@ -100,6 +101,21 @@ def test_a_line_with_targets_is_flown_as_it_lies_there(theatre: Theatre, tmp_pat
         assert flight.truth() == truth
         assert flight.config.waterfall.row_spacing_m == 0.2
         assert any(isinstance(event, Ping) for event in flight.events)
+
+
+def test_what_can_be_calibrated_is_named_and_what_a_theatre_is_to_each_is_said(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        main(["calibrate"])
+    named = capsys.readouterr().err
+    for fit in FITS:
+        assert fit.name in named
+        with pytest.raises(SystemExit, match="0"):
+            main(["calibrate", fit.name, "--help"])
+        helped = capsys.readouterr().out
+        if "--theatre" in helped:
+            assert ("its scenes are flown" in " ".join(helped.split())) == (fit.name not in ("performance", "seabed"))
 
 
 def test_odds_are_fitted_on_the_own_scenes_and_lines_and_the_network_weighed_beside_them(
