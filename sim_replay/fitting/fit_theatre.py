@@ -19,7 +19,6 @@ from auv_mcm.pipeline import Pipeline
 from auv_mcm.safe_files import read_regular
 from auv_mcm.settings.config import Config, config_yaml
 from auv_mcm.shell.whole_files import write_file
-from sim_replay.augment.augment_log import TRUTH_NAME
 from sim_replay.fitting.calibrate_odds import Missions, fit_from_missions
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
 from sim_replay.fitting.cascade.spec import on_grid
@@ -116,11 +115,9 @@ def fit_theatre(
 
 
 def _flown_with(theatre: Theatre) -> bytes:
-    """Digest what the spec's text leaves open: the configuration, and what its scenes and lines hold."""
-    digest = sha256(config_yaml(theatre.config).encode())
-    for file in map(Path, (*theatre.scenes, *(f"{line}/{TRUTH_NAME}" for _, line in theatre.lines))):
-        digest.update(read_regular(file) if file.is_file() else b"")
-    return f"\n# flown with {digest.hexdigest()}\n".encode()
+    """Digest what the spec's text leaves open: the configuration, and what scenes and lines hold."""
+    flown_with = sha256(config_yaml(theatre.config).encode() + theatre.digest().encode())
+    return f"\n# flown with {flown_with.hexdigest()}\n".encode()
 
 
 def _begin(folder: Path, spec: bytes, *, network_alone: bool) -> None:

@@ -163,7 +163,8 @@ def place_of(folder: Path, task: LookTask) -> Path:
     if task.detector != "cascade":
         parts.append(task.detector)
     if task.theatre != USUAL:
-        parts.append(f"{zlib.crc32(repr((task.theatre, task.source)).encode()):08x}")
+        flown_with = repr((task.theatre, task.theatre.digest(), task.source))
+        parts.append(f"{zlib.crc32(flown_with.encode()):08x}")
     return folder / ("-".join(parts).replace(" ", "_") + ".npz")
 
 

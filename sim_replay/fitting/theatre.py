@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from hashlib import sha256
 from pathlib import Path
 from typing import Final, NamedTuple
 
 import msgspec
 
 from auv_mcm.model_file import NONE, SHIPPED
+from auv_mcm.safe_files import read_regular
 from auv_mcm.settings.config import Config
+from sim_replay.augment.augment_log import TRUTH_NAME
 from sim_replay.fitting.cascade.spec import SonarVariant, carrying, on_grid, read_training_spec, within_swath
 from sim_replay.fitting.cascade.tiles import Split
 from sim_replay.missions import HELD_OUT, SCENES, config_for
@@ -57,6 +60,12 @@ class Theatre(NamedTuple):
             rate_hz = min(flown.sonar.ping_rate_hz, fastest_hz) if sonar.range_m else flown.sonar.ping_rate_hz
             flown = msgspec.structs.replace(flown, sonar=msgspec.structs.replace(flown.sonar, ping_rate_hz=rate_hz))
         return flown, config_for(flown, on_grid(self.config, sonar))
+
+    def digest(self) -> str:
+        """Digest what the files hold that missions go by: scenes, augmented lines and the detector."""
+        lines = (f"{folder}/{TRUTH_NAME}" for _, folder in self.lines)
+        files = map(Path, (*self.scenes, self.config.detect.model, *lines))
+        return sha256(b"".join(read_regular(file) for file in files if file.is_file())).hexdigest()
 
     def with_files(self, **files: str) -> Theatre:
         """Name fitted files in the configuration."""

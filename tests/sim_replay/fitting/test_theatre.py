@@ -31,7 +31,7 @@ from sim_replay.fitting.cascade.farm import Farm
 from sim_replay.fitting.cascade.spec import SonarVariant
 from sim_replay.fitting.detection_performance.performance_missions import target_scene
 from sim_replay.fitting.fit_odds import written
-from sim_replay.fitting.looks import LookTask, flight_of
+from sim_replay.fitting.looks import LookTask, all_looks, flight_of
 from sim_replay.fitting.theatre import USUAL, Theatre, read_theatre
 from sim_replay.fitting.verifier.weigh import Looks
 from sim_replay.logs.xtf_writer import write_xtf
@@ -139,6 +139,22 @@ def test_odds_are_fitted_on_the_own_scenes_and_lines_and_the_network_weighed_bes
     assert odds["made_by"].endswith(" ".join(options))
     assert odds["fitted_for"] == "cascade"
     assert odds["verifier"]["digest"] == shipped_odds("cascade").verifier.digest  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("changed", ["pond.yaml", "model.json", "line/truth.json"])
+def test_missions_are_flown_again_after_what_they_go_by_has_changed(
+    flown: Flown, theatre: Theatre, tmp_path: Path, changed: str
+) -> None:
+    (tmp_path / "line").mkdir()
+    for name in ("model.json", "line/truth.json"):
+        (tmp_path / name).write_text("{}")
+    task = LookTask(theatre.flown[0], 500, theatre=theatre.with_files(model=str(tmp_path / "model.json")))
+    all_looks([task], tmp_path / "looks", Farm(1))
+    all_looks([task], tmp_path / "looks", Farm(1))
+    assert len(flown.missions) == 1
+    (tmp_path / changed).write_text("other")
+    all_looks([task], tmp_path / "looks", Farm(1))
+    assert len(flown.missions) == 2
 
 
 @pytest.fixture
