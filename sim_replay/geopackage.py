@@ -12,7 +12,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
-from sim_replay.mosaic_files import replaced_file
+from auv_mcm.shell.whole_files import write_file
 from sim_replay.qgis import contact_style
 
 _APPLICATION_ID: Final = 0x47504B47  # "GPKG", by the standard
@@ -57,9 +57,8 @@ def write_geopackage(path: Path, layers: Mapping[str, Sequence[Feature]]) -> Non
 
     Raises OSError.
     """
-    with replaced_file(path) as temporary:
-        temporary.unlink()
-        with closing(sqlite3.connect(temporary)) as base, base:
+    with closing(sqlite3.connect(":memory:")) as base:  # of a full disk SQLite names neither file nor reason
+        with base:
             base.execute(f"PRAGMA application_id = {_APPLICATION_ID}")
             base.execute(f"PRAGMA user_version = {_VERSION}")
             base.executescript(_TABLES)
@@ -76,6 +75,7 @@ def write_geopackage(path: Path, layers: Mapping[str, Sequence[Feature]]) -> Non
                     _write_layer(base, name, features)
             if layers.get("contacts"):
                 _write_style(base)
+        write_file(path, base.serialize())
 
 
 def _write_layer(base: sqlite3.Connection, name: str, features: Sequence[Feature]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import resource
 import shutil
 import sqlite3
 from collections.abc import Mapping
@@ -16,6 +17,7 @@ import pytest
 
 from auv_mcm.cli import main
 from auv_mcm.contacts.geojson import Json, collection, feature
+from auv_mcm.errors import HardwareError
 from auv_mcm.records import CoveragePatch
 from sim_replay.geopackage import write_geopackage
 from sim_replay.mosaic import Box
@@ -152,6 +154,19 @@ def test_a_geopackage_is_whole_and_takes_any_name_and_value(tmp_path: Path) -> N
     finally:
         base.close()
     assert [path.name for path in tmp_path.iterdir()] == ["m.gpkg"]
+
+
+def test_a_geopackage_that_finds_no_room_is_no_defect_and_leaves_nothing(
+    results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, limits[1]))
+    try:
+        assert main(["export", str(results), "--gpkg", str(tmp_path / "m.gpkg")]) == HardwareError.exit_code
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert f"{tmp_path / 'm.gpkg'}: File too large" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_layers_without_results_or_of_damaged_ones_are_one_clear_line(
