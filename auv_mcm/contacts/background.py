@@ -1,13 +1,9 @@
-"""Estimate how densely non-mines lie that look as mine-like as a contact or more.
+"""Hold how densely non-mines lie that look as mine-like as a contact or more.
 
-The log-odds of a mission's contacts are a mixture of two groups (B. Efron, "Large-scale simultaneous hypothesis
-testing: the choice of a null hypothesis", JASA 99, 2004): a background, dense at low log-odds and thinning out upwards,
-and mines. Contacts per bin of log-odds are Poisson counts of mean area * (background + mines). The logarithm of the
-background's density is linear between knots, with a normal prior over its values there: its mean and covariance are
-those of missions whose truth is known. So a short mission gets what training expects, and a long one what it shows by
-itself. The density of mines is not known: a broad prior lets them be rare or many, so that mines among few contacts are
-not taken for background. For each of a ladder of densities of mines the background has Laplace's approximation (L.
-Tierney and J. Kadane, JASA 81, 1986) about its mode, found by Fisher scoring; the evidence of each weighs them.
+Contacts per bin of log-odds that are no mines are Poisson counts of area times density. The logarithm of the density is
+linear between knots, with a normal prior over its values there: its mean and covariance are those of missions whose
+truth is known. A mission's own density has Laplace's approximation (L. Tierney and J. Kadane, JASA 81, 1986) about its
+mode, found by Fisher scoring.
 """
 
 from __future__ import annotations
@@ -36,15 +32,6 @@ LEVELS_NATS: Final[Array] = LOWEST_NATS + BIN_NATS * np.arange(N_BINS, dtype=np.
 KNOTS_NATS: Final[Array] = np.array([LOWEST_NATS, -3.5, -2.25, -0.75, 1.0, 3.0])
 """Where the logarithm of the density bends: closer together where contacts are many."""
 
-MINES_PER_KM2: Final = 30.0
-"""Median of the prior of mines that lie in a mission's area."""
-MINES_SPREAD: Final = 2.0
-"""Standard deviation of the prior's logarithm: 0.5 to 1600 mines per km² with 95 %, as mines are rare at sea and many
-on a test range.
-"""
-_MINES_STEPS: Final[Array] = np.linspace(-2.5, 2.5, 11, dtype=np.float64)  # standard deviations
-
-_CONFIDENCE_SIGMAS: Final = 1.959964  # of the central 95 %
 _MAX_STEPS: Final = 60  # of Newton's method; a guard, it settles in a few
 _MAX_HALVINGS: Final = 30  # of one step: 1e-9 of it is left, below _SETTLED_NATS
 _SETTLED_NATS: Final = 1e-7  # nats of the density's logarithm: far below its error
@@ -141,36 +128,20 @@ class FalseAlarms(NamedTuple):
 class Background(NamedTuple):
     """Hold how densely non-mines lie that reach each of LEVELS_NATS, as logarithms of contacts per km², (N_BINS,) each.
 
-    middle: the middle of the estimate; low, high: its 95 % interval. All fall from level to level. mines_per_km2:
-    middle of what is believed of mines.
+    middle: the middle of the estimate; low, high: its 95 % interval. All fall from level to level.
     """
 
     middle: Array
     low: Array
     high: Array
-    mines_per_km2: float
 
     def false_alarms(self, log_odds: float) -> FalseAlarms:
         """Read the density of non-mines with these log-odds of a mine or more.
 
         Below the lowest level it is that of the lowest.
         """
-        middle, low, high = (
-            math.exp(float(np.interp(log_odds, LEVELS_NATS, part))) for part in (self.middle, self.low, self.high)
-        )
+        middle, low, high = (math.exp(float(np.interp(log_odds, LEVELS_NATS, part))) for part in self)
         return FalseAlarms(middle, low, high)
-
-    def level_nats(self, per_km2: float) -> float:
-        """Find the lowest log-odds that no more than so many non-mines reach.
-
-        -inf where all do, inf where more reach every level.
-        """
-        asked = math.log(per_km2)
-        if asked >= self.middle[0]:
-            return -math.inf
-        if asked < self.middle[-1]:
-            return math.inf
-        return float(np.interp(-asked, -self.middle, LEVELS_NATS))
 
 
 def counted_log_odds(log_odds: ArrayLike) -> Array:
@@ -180,10 +151,12 @@ def counted_log_odds(log_odds: ArrayLike) -> Array:
     return np.bincount(numbers.astype(np.int64), minlength=N_BINS).astype(np.float64)
 
 
-def estimate_background(
+def known_background(
     counts: ArrayLike, area_km2: float, prior: BackgroundPrior, *, reported_from_nats: float = LOWEST_NATS
-) -> Background:
-    """Estimate the background of a mission from its contacts, mines among them.
+) -> tuple[Array, Array]:
+    """Estimate the background of a mission from contacts that are known not to be mines.
+
+    Returns log-densities at the knots, (n_knots,), and their covariance.
 
     Parameters
     ----------
@@ -200,31 +173,30 @@ def estimate_background(
         For counts or an area that cannot be.
     """
     n, observed_km2 = _observed(counts, area_km2, reported_from_nats)
-    log_mines = math.log(MINES_PER_KM2) + MINES_SPREAD * _MINES_STEPS
-    mines = np.exp(log_mines)[:, np.newaxis] * _mine_shares(prior)
-    values, covariance, evidence = _modes(n, observed_km2, mines, prior)
-    log_weight = evidence - 0.5 * _MINES_STEPS**2
-    weight = np.exp(log_weight - log_weight.max())
-    weight /= weight.sum()
-    middles, spreads = zip(*(_log_survival(*mode) for mode in zip(values, covariance, strict=True)), strict=True)
-    middle = weight @ np.array(middles)
-    spread = np.sqrt(weight @ (np.array(spreads) ** 2 + (np.array(middles) - middle) ** 2))
-    # As what reaches a level reaches all lower ones, a bound there is one here.
-    low = np.maximum.accumulate((middle - _CONFIDENCE_SIGMAS * spread)[::-1])[::-1]
-    high = np.minimum.accumulate(middle + _CONFIDENCE_SIGMAS * spread)
-    return Background(middle, low, high, math.exp(float(weight @ log_mines)))
+    mean, precision = np.array(prior.mean), np.linalg.inv(np.array(prior.covariance))
+    per_density = observed_km2 * BIN_NATS
 
+    def posterior(values: Array) -> tuple[float, Array]:
+        log_density = np.minimum(_WEIGHTS @ values, _HIGHEST_LOG_DENSITY)
+        expected = per_density * np.exp(log_density)
+        off = values - mean
+        return float(n @ log_density - expected.sum() - 0.5 * off @ precision @ off), expected
 
-def known_background(
-    counts: ArrayLike, area_km2: float, prior: BackgroundPrior, *, reported_from_nats: float = LOWEST_NATS
-) -> tuple[Array, Array]:
-    """Estimate the background from contacts that are known not to be mines.
-
-    (n_knots,) log-densities and their covariance. reported_from_nats: as in `estimate_background`.
-    """
-    n, observed_km2 = _observed(counts, area_km2, reported_from_nats)
-    values, covariance, _ = _modes(n, observed_km2, np.zeros((1, N_BINS)), prior)
-    return values[0], covariance[0]
+    values = mean
+    reached, expected = posterior(values)
+    for _ in range(_MAX_STEPS):
+        information = _WEIGHTS.T @ (expected[:, np.newaxis] * _WEIGHTS) + precision
+        step = np.linalg.solve(information, _WEIGHTS.T @ (n - expected) - precision @ (values - mean))
+        for _ in range(_MAX_HALVINGS):
+            if posterior(values + step)[0] >= reached - 1e-9:
+                break
+            step = 0.5 * step
+        values = values + step
+        reached, expected = posterior(values)
+        if np.abs(step).max() < _SETTLED_NATS:
+            break
+    covariance = np.linalg.inv(_WEIGHTS.T @ (expected[:, np.newaxis] * _WEIGHTS) + precision)
+    return values, np.asarray(covariance, dtype=np.float64)
 
 
 def expected_background(prior: BackgroundPrior) -> tuple[Array, Array]:
@@ -288,58 +260,6 @@ def _observed(counts: ArrayLike, area_km2: float, reported_from_nats: float) -> 
 
 
 _MIN_AREA_KM2: Final = 1e-4  # a hundredth of a hectare: a few pings
-
-
-def _mine_shares(prior: BackgroundPrior) -> Array:
-    """Compute the share of mines' contacts in each bin; what falls below the lowest level is in none."""
-    # The standard library's error function: scipy is no package of the payload.
-    deviates = (LEVELS_NATS - prior.mine_mean_nats) / (prior.mine_sd_nats * math.sqrt(2.0))
-    reached = np.array([0.5 * math.erfc(deviate) for deviate in deviates.tolist()])
-    return np.asarray(reached - np.append(reached[1:], 0.0))
-
-
-def _modes(n: Array, area_km2: Array, mines_per_km2: Array, prior: BackgroundPrior) -> tuple[Array, Array, Array]:
-    """Find the background's most probable values at the knots.
-
-    For each of n_modes densities of mines, (n_modes, N_BINS). Returns values (n_modes, n_knots), their covariance
-    (n_modes, n_knots, n_knots) and the logarithm of the evidence (n_modes,), but for a constant.
-    """
-    mean, precision = np.array(prior.mean), np.linalg.inv(np.array(prior.covariance))
-    mines = area_km2 * mines_per_km2
-    per_density = area_km2 * BIN_NATS
-
-    def posterior(values: Array) -> tuple[Array, Array, Array]:
-        background = per_density * np.exp(np.minimum(values @ _WEIGHTS.T, _HIGHEST_LOG_DENSITY))
-        total = np.maximum(background + mines, 1e-300)
-        off = values - mean
-        return (
-            (n * np.log(total) - total).sum(axis=1) - 0.5 * np.einsum("ij,jk,ik->i", off, precision, off),
-            background,
-            total,
-        )
-
-    def information(background: Array, total: Array) -> Array:
-        return np.asarray(_WEIGHTS.T @ ((background**2 / total)[:, :, np.newaxis] * _WEIGHTS) + precision)
-
-    values = np.repeat(mean[np.newaxis], len(mines_per_km2), axis=0)
-    reached, background, total = posterior(values)
-    for _ in range(_MAX_STEPS):
-        gradient = (background * (n / total - 1.0)) @ _WEIGHTS - (values - mean) @ precision
-        step = np.linalg.solve(information(background, total), gradient[:, :, np.newaxis])[:, :, 0]
-        for _ in range(_MAX_HALVINGS):
-            tried = posterior(values + step)
-            worse = tried[0] < reached - 1e-9
-            if not worse.any():
-                break
-            step[worse] *= 0.5
-        else:
-            tried = posterior(values + step)
-        values = values + step
-        reached, background, total = tried
-        if np.abs(step).max() < _SETTLED_NATS:
-            break
-    covariance = np.asarray(np.linalg.inv(information(background, total)), dtype=np.float64)
-    return values, covariance, np.asarray(reached + 0.5 * np.linalg.slogdet(covariance)[1], dtype=np.float64)
 
 
 def _log_survival(values: Array, covariance: Array) -> tuple[Array, Array]:

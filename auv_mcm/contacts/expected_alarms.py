@@ -32,7 +32,7 @@ def expected_alarms(log_odds: ArrayLike, area_km2: float) -> Background:
     expected = np.append(0.0, np.cumsum(_no_mine(nats)))[reaching]
     low, high = (poisson_end(expected, sigmas) for sigmas in (-_SIGMAS_95, _SIGMAS_95))
     middle, low, high = (np.log(np.maximum(n, _NONE) / area_km2) for n in (expected, low, high))
-    return Background(middle, low, high, float(len(nats) - expected[0]) / area_km2)
+    return Background(middle, low, high)
 
 
 def called_from_nats(log_odds: ArrayLike, area_km2: float, asked_per_km2: float) -> float:

@@ -11,16 +11,7 @@ import msgspec
 import numpy as np
 
 from auv_mcm.classify.beliefs import MINE_LIKE_P, most_believed
-from auv_mcm.contacts.background import (
-    BIN_NATS,
-    LEVELS_NATS,
-    LOWEST_NATS,
-    N_BINS,
-    Background,
-    BackgroundPrior,
-    estimate_background,
-    expected_background,
-)
+from auv_mcm.contacts.background import LEVELS_NATS, LOWEST_NATS, Background, BackgroundPrior, expected_background
 from auv_mcm.contacts.expected_alarms import called_from_nats, expected_alarms, is_short
 from auv_mcm.contacts.seen_area import SeenArea
 from auv_mcm.detect.belief import odds_of
@@ -105,10 +96,8 @@ class CallWatch:
         prior: of the log-odds of the detector that serves; None where there is none.
         """
         self._asked_per_km2 = config.false_alarms_per_km2
-        self._reported_from_nats = odds_of(config.min_p_mine)
         self._prior = prior
         self._area = SeenArea()
-        self._counts = np.zeros(N_BINS)
         self._log_odds = array("d")  # by number of the contact, NaN of those never reported
         self._announced = bytearray()
         self._n_changed = 0
@@ -163,9 +152,6 @@ class CallWatch:
             missing = number + 1 - len(self._log_odds)
             self._log_odds.extend([math.nan] * missing)
             self._announced.extend(bytes(missing))
-        for value, sign in ((self._log_odds[number], -1.0), (nats, 1.0)):
-            if value >= LOWEST_NATS:
-                self._counts[min(int((value - LOWEST_NATS) / BIN_NATS), N_BINS - 1)] += sign
         self._log_odds[number] = nats
         self._n_changed += 1
 
@@ -177,21 +163,13 @@ class CallWatch:
 
     def _estimated(self) -> OperatingPoint:
         self._n_changed = 0
-        area_km2 = self._area.km2
+        asked, area_km2, log_odds = self._asked_per_km2, self._area.km2, np.array(self._log_odds)
+        n_contacts = int(np.count_nonzero(log_odds >= LOWEST_NATS))
         if self._prior is None:
-            return OperatingPoint(self._asked_per_km2, int(self._counts.sum()), area_km2, None)
-        seen = estimate_background(
-            self._counts, area_km2, self._prior, reported_from_nats=max(self._reported_from_nats, LOWEST_NATS)
-        )
-        self._compare(seen, self._prior)
-        log_odds = np.array(self._log_odds)
-        return OperatingPoint(
-            self._asked_per_km2,
-            int(self._counts.sum()),
-            area_km2,
-            expected_alarms(log_odds, area_km2),
-            called_from_nats(log_odds, area_km2, self._asked_per_km2),
-        )
+            return OperatingPoint(asked, n_contacts, area_km2, None)
+        expected = expected_alarms(log_odds, area_km2)
+        self._compare(expected, self._prior)
+        return OperatingPoint(asked, n_contacts, area_km2, expected, called_from_nats(log_odds, area_km2, asked))
 
     def _turned(self, margin_nats: float) -> list[int]:
         level, values = self.point.level_nats, np.array(self._log_odds)
@@ -200,14 +178,14 @@ class CallWatch:
         is_dropped = (announced == _CALLED) & (values < level - margin_nats)
         return np.flatnonzero(is_called | is_dropped).tolist()
 
-    def _compare(self, background: Background, prior: BackgroundPrior) -> None:
-        """Report once that far more of the background looks like mines than on any sea floor of the training set."""
-        expected, spread = expected_background(prior)
+    def _compare(self, seen: Background, prior: BackgroundPrior) -> None:
+        """Report once that far more false alarms are expected than on any sea floor of the training set."""
+        usual, spread = expected_background(prior)
         for p_mine in _UNLIKE_P_MINE:
             at = int(np.searchsorted(LEVELS_NATS, odds_of(p_mine)))
-            if not self._is_unlike and background.middle[at] > expected[at] + _UNLIKE_SIGMAS * spread[at]:
+            if not self._is_unlike and seen.low[at] > usual[at] + _UNLIKE_SIGMAS * spread[at]:
                 self._is_unlike = True
-                self._notices.append(_unlike(p_mine, math.exp(background.middle[at]), math.exp(expected[at])))
+                self._notices.append(_unlike(p_mine, math.exp(seen.middle[at]), math.exp(usual[at])))
 
 
 def _unlike(p_mine: float, per_km2: float, usual_per_km2: float) -> Notice:

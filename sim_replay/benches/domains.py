@@ -13,22 +13,12 @@ import argparse
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.contacts.background import (
-    BIN_NATS,
-    LEVELS_NATS,
-    Background,
-    BackgroundModel,
-    BackgroundPrior,
-    counted_log_odds,
-    estimate_background,
-    shipped_background,
-)
 from auv_mcm.detect.belief import probability
 from sim_replay.benches.experiment import Cell, Column, Experiment, Task, density, number, share
 from sim_replay.fitting.fit_background import SortedContacts, flown_along, flown_scene
@@ -48,20 +38,6 @@ FIXED_P_MINE: Final = 0.2  # what a fixed threshold reaches, which the operating
 
 OWN: Final = "own"  # recorder of the scene or line
 _RELIABILITY_HEADER: Final = ("domains", "p_mine", "contacts", "mean p_mine", "on mines")
-
-
-class Judged(NamedTuple):
-    """Hold one mission, with the background that its contacts show by a prior that it was left out of."""
-
-    mission: SortedContacts
-    prior: BackgroundPrior
-    background: Background
-
-
-def judged(mission: SortedContacts, model: BackgroundModel) -> Judged:
-    """Estimate a mission's background by a prior that it was left out of."""
-    prior = next((left.prior for left in model.left_out if left.scene == mission.scene), model.cascade)
-    return Judged(mission, prior, estimate_background(counted_log_odds(mission.everything), mission.area_km2, prior))
 
 
 def fly(task: Task) -> dict[str, SortedContacts]:
@@ -100,36 +76,14 @@ def n_found_at(missions: Sequence[SortedContacts], limit_per_km2: float) -> int:
 
 def reliability(missions: Sequence[SortedContacts]) -> Calibration:
     """Compare p_mine of all contacts with what they lie on."""
+    return calibration(*_sorted_out(missions))
+
+
+def _sorted_out(missions: Sequence[SortedContacts]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Collect p_mine of all contacts, (n,), and what is a mine."""
     log_odds = np.concatenate([part for one in missions for part in (one.background, one.mines)])
-    is_mine = np.concatenate(
-        [
-            np.full(len(part), on_mine)
-            for one in missions
-            for part, on_mine in ((one.background, False), (one.mines, True))
-        ]
-    )
-    return calibration([probability(value) for value in log_odds], is_mine)
-
-
-def within_mission(one: Judged) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
-    """Compute p_mine as it is, and as the mission's own mines and background would have it.
-
-    Returns both, (n,) each, and what is a mine.
-    """
-    log_odds = np.concatenate([one.mission.background, one.mission.mines])
-    reaching = np.exp(one.background.middle)
-    background = np.maximum(reaching - np.append(reaching[1:], 0.0), 1e-300)
-    off = (LEVELS_NATS + 0.5 * BIN_NATS - one.prior.mine_mean_nats) / one.prior.mine_sd_nats
-    mines = (
-        one.background.mines_per_km2
-        * np.exp(-0.5 * off**2)
-        / (np.sqrt(2.0 * np.pi) * one.prior.mine_sd_nats)
-        * BIN_NATS
-    )
-    mine_share = mines / (mines + background)
-    level_bin = np.clip(np.searchsorted(LEVELS_NATS, log_odds, side="right") - 1, 0, len(LEVELS_NATS) - 1)
-    is_mine = np.arange(len(log_odds)) >= len(one.mission.background)
-    return np.array([probability(value) for value in log_odds]), mine_share[level_bin], is_mine
+    n_each = [len(part) for one in missions for part in (one.background, one.mines)]
+    return np.array([probability(value) for value in log_odds]), np.repeat([False, True] * len(missions), n_each)
 
 
 def _n_targets(missions: Sequence[SortedContacts]) -> int:
@@ -150,11 +104,10 @@ def _pd(missions: Sequence[SortedContacts], limit_per_km2: float) -> Cell:
     return share(proportion(n_found_at(missions, limit_per_km2), _n_targets(missions)))
 
 
-def _quality(missions: Sequence[SortedContacts], within: bool, measure: Callable[..., float | None]) -> Cell:
-    """Measure p_mine as it is, or as each mission's own mines and background would have it."""
-    some = [within_mission(judged(one, shipped_background())) for one in missions]
-    plain, own, is_mine = (np.concatenate(parts) for parts in zip(*some, strict=True))
-    value = measure(own if within else plain, is_mine) if len(plain) else None
+def _quality(missions: Sequence[SortedContacts], measure: Callable[..., float | None]) -> Cell:
+    """Measure p_mine against what contacts lie on."""
+    p_mine, is_mine = _sorted_out(missions)
+    value = measure(p_mine, is_mine) if len(p_mine) else None
     return Cell(NOTHING) if value is None else number(value, 3)
 
 
@@ -207,10 +160,8 @@ EXPERIMENT: Final = Experiment(
             f"FA/km² at p_mine {FIXED_P_MINE:g}",
             lambda missions: density(area_density(_n_reaching(missions, "background"), _area_km2(missions))),
         ),
-        Column("calibration error", partial(_quality, within=False, measure=_error)),
-        Column("the same within the mission", partial(_quality, within=True, measure=_error)),
-        Column("log loss", partial(_quality, within=False, measure=_log_loss)),
-        Column("its log loss within", partial(_quality, within=True, measure=_log_loss)),
+        Column("calibration error", partial(_quality, measure=_error)),
+        Column("log loss", partial(_quality, measure=_log_loss)),
     ),
     add_options=_add_options,
     own_options=("no_recorders",),

@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from scipy.stats import gamma, norm
 
 from auv_mcm.classify.beliefs import MINE_LIKE_P
-from auv_mcm.contacts.background import N_BINS, estimate_background, shipped_background
+from auv_mcm.contacts.background import shipped_background
 from auv_mcm.contacts.contact import call_words
-from auv_mcm.contacts.expected_alarms import poisson_end
+from auv_mcm.contacts.expected_alarms import expected_alarms, poisson_end
 from auv_mcm.contacts.ledger import contact_from_views
 from auv_mcm.contacts.operating_point import CallWatch, MarkedContacts, OperatingPoint
 from auv_mcm.detect.belief import odds_of, probability
@@ -26,7 +26,7 @@ from tests.auv_mcm.classify import drawn_looks
 from tests.auv_mcm.contacts.test_seen_area import patch
 
 PRIOR = shipped_background().cascade
-BARE = estimate_background(np.zeros(N_BINS), 0.1, PRIOR)
+BARE = expected_alarms(np.empty(0), 0.1)
 
 
 class Mission:

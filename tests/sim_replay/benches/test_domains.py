@@ -6,27 +6,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from auv_mcm.contacts.background import shipped_background
-from sim_replay.benches.domains import EXPERIMENT, OWN, grouped, judged, n_found_at, reliability, within_mission
+from sim_replay.benches.domains import EXPERIMENT, OWN, grouped, n_found_at, reliability
 from sim_replay.benches.experiment import experiment_rows
 from sim_replay.fitting.recorders import RECORDED_SCENES, RECORDERS, recorded_by
 from sim_replay.simulator.scene_file import check_scene, read_scene
 from tests.sim_replay.fitting.test_background_fit import drawn_mission
-
-
-def test_a_mission_is_judged_by_a_prior_that_it_was_left_out_of() -> None:
-    model = shipped_background()
-    left = model.left_out[0]
-    assert judged(drawn_mission(1, left.scene), model).prior == left.prior
-    assert judged(drawn_mission(1, "a recorded line"), model).prior == model.cascade
-
-
-def test_the_share_of_mines_is_a_probability_that_rises_at_first() -> None:
-    plain, within, is_mine = within_mission(judged(drawn_mission(3), shipped_background()))
-    assert len(plain) == len(within) == len(is_mine)
-    assert is_mine.sum() == 20
-    assert ((within > 0.0) & (within < 1.0)).all()
-    assert np.corrcoef(plain, within)[0, 1] > 0.7
 
 
 def test_targets_are_counted_above_the_threshold_that_lets_so_many_false_alarms_pass() -> None:

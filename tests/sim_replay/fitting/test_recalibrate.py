@@ -19,7 +19,13 @@ from scipy.special import expit, xlogy
 from auv_mcm import __version__
 from auv_mcm.classify.odds import configured_odds, shipped_odds
 from auv_mcm.cli import main
-from auv_mcm.contacts.background import LOWEST_NATS, counted_log_odds, estimate_background, shipped_background
+from auv_mcm.contacts.background import (
+    LEVELS_NATS,
+    LOWEST_NATS,
+    BackgroundPrior,
+    expected_background,
+    shipped_background,
+)
 from auv_mcm.errors import BadInputError
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.settings.config import Config, ConfirmConfig, config_yaml, parse_config
@@ -140,14 +146,13 @@ def test_a_change_that_would_miss_mines_or_call_more_of_the_rest_is_refused(monk
         assert (found.change.background_nats == 0.0) == (after.called < 5)
 
 
-@pytest.mark.parametrize("change", [Change(), Change(1.1, -0.8), Change(0.8, 0.3)])
-def test_the_operating_point_moves_with_the_odds(change: Change) -> None:
-    log_odds = np.concatenate([drawn_background(1, 0.5), np.full(20, 3.0)])
-    level = estimate_background(counted_log_odds(log_odds), 0.5, PRIOR).level_nats(30.0)
-    lowest = max(LOWEST_NATS, float(change.applied(np.array([LOWEST_NATS]))[0]))
-    moved = estimate_background(
-        counted_log_odds(change.applied(log_odds)), 0.5, PRIOR.recalibrated(*change), reported_from_nats=lowest
-    ).level_nats(30.0)
+@pytest.mark.parametrize("change", [Change(), Change(1.1, -0.8), Change(0.8, 0.3), Change(1.0, 0.0, 1.2)])
+def test_the_background_moves_with_the_odds(change: Change) -> None:
+    def level_nats(prior: BackgroundPrior, per_km2: float) -> float:
+        return float(np.interp(-math.log(per_km2), -expected_background(prior)[0], LEVELS_NATS))
+
+    level = level_nats(PRIOR, 30.0)
+    moved = level_nats(PRIOR.recalibrated(*change), 30.0 * math.exp(change.background_nats))
     # A bin of log-odds is 0.25 nats wide, and knots do not move.
     assert moved == pytest.approx(change.offset_nats + change.slope * level, abs=0.4)
 
