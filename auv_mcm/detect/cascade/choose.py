@@ -6,7 +6,7 @@ from importlib import resources
 from typing import Final
 
 from auv_mcm.detect.cascade.model import CascadeModel, fits_sonar, parse_model
-from auv_mcm.model_file import NONE, read_model
+from auv_mcm.model_file import NONE, SHIPPED, read_model
 from auv_mcm.records import Notice
 from auv_mcm.settings.config import Config
 
@@ -44,6 +44,12 @@ def fitting(model: CascadeModel | None, config: Config) -> tuple[CascadeModel | 
         )
         return None, Notice(code="detect.model_does_not_fit", text=text, place=config.detect.model)
     text = f"the detector is a cascade trained on {model.trained_on}"
+    if config.detect.model != SHIPPED and config.confirm.enabled and config.confirm.odds == SHIPPED:
+        text += (
+            ", but confirm.odds weighs scores of the one that ships: p_mine and calls may be wrong. Fit odds, and the "
+            "gate, with 'auv-mcm calibrate', or set detect.model to shipped"
+        )
+        return model, Notice(code="detect.odds_of_another", text=text, place=config.detect.model)
     return model, Notice(code="detect.cascade", text=text, place=config.detect.model, for_the_record=True)
 
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from auv_mcm.detect.cascade.choose import configured_model, fitting
 from auv_mcm.detect.cascade.model import encode_model
 from auv_mcm.errors import BadInputError
-from auv_mcm.settings.config import Config, DetectConfig, WaterfallConfig
+from auv_mcm.settings.config import Config, ConfirmConfig, DetectConfig, WaterfallConfig
 from tests.auv_mcm.detect.drawn_cascade import MODEL
 
 
@@ -63,3 +64,11 @@ def test_the_model_serves_for_pixels_that_it_was_trained_for_and_for_no_others()
     assert not notice.for_the_record
     assert "0.12 x 0.5 m" in notice.text
     assert "train a model" in notice.text
+
+
+@pytest.mark.parametrize(("odds", "code"), [("shipped", "detect.odds_of_another"), ("own/odds.json", "detect.cascade")])
+def test_a_model_of_ones_own_with_odds_of_the_shipped_one_asks_to_fit_odds(odds: str, code: str) -> None:
+    model, notice = fitting(MODEL, msgspec.structs.replace(with_model("own.json"), confirm=ConfirmConfig(odds=odds)))
+    assert model is MODEL
+    assert notice.code == code
+    assert notice.for_the_record == (odds != "shipped")
