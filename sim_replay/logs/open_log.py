@@ -120,11 +120,11 @@ def logs_config(paths: list[Path]) -> Config | None:
 
     A session brings the one it was recorded with, an image the kind of sonar in its sidecar. Raises BadInputError.
     """
-    from sim_replay.logs.session_parts import JoinedSession
-    from sim_replay.logs.session_reader import recorded_config
-
     for path in paths:
         if is_session(path):
+            from sim_replay.logs.session_parts import JoinedSession
+            from sim_replay.logs.session_reader import recorded_config
+
             return recorded_config(JoinedSession(path).sessions[0])
         if (sidecar := _sidecar_of(path)) is not None:
             return Config(sonar=SonarConfig(kind=sidecar.kind))
