@@ -6,9 +6,10 @@ NMEA_WRAPPER (109, a sentence), MAVLINK_WRAPPER (150, a message as JSON). Side-s
 `sonar`, sentences to a port `nmea`, positions and attitudes of MAVLink, put into NMEA 0183, to a port `mavlink`.
 
 No packet carries the time at which it was written. Pings have the sonar's counter of milliseconds, which starts at the
-head's time stamp. Where port and starboard have counters of their own, profiles go on with the first one's. What stands
-between two pings is stamped with the later one, no more than one interval too late, which the times in the sentences
-take off again (`NavUnitSettings.use_unit_time`).
+head's time stamp. Where port and starboard have counters of their own, profiles go on with the first one's and with
+its numbers of pings, in the order of transmissions (`svlog_heads`). What stands between two pings is stamped with the
+later one, no more than one interval too late, which the times in the sentences take off again
+(`NavUnitSettings.use_unit_time`).
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from __future__ import annotations
 import json
 import math
 from collections import Counter, deque
-from collections.abc import Hashable, Iterator
+from collections.abc import Hashable, Iterable, Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 from struct import Struct
@@ -32,6 +33,7 @@ from drivers.sonar.ping_messages import JsonWrapper, PingMessage, decode, to_wir
 from drivers.sonar.ping_protocol import PingGrammar
 from drivers.sonar.ping_sides import frequency_text, is_same_frequency, look_side
 from sim_replay.logs.message_file import MessageFile
+from sim_replay.logs.svlog_heads import COUNTER_MS, RESTART_MS, HeadOrder, Offsets, Profile, signed_ms
 
 SONAR_PORT: Final = "sonar"
 NMEA_PORT: Final = "nmea"
@@ -47,11 +49,10 @@ _FREQUENCY: Final = Struct("<16xI")  # Hz
 _PROBE_PROFILES: Final = 400  # looked at to find which frequencies a log holds
 _PROBE_BYTES: Final = 8 << 20  # in this much, sonars that send several frequencies have sent each many times
 _STRAY_FRACTION: Final = 0.05  # of the commonest frequency's profiles; fewer of another do not count
-_COUNTER, _COUNTER_AT = Struct("<I"), 12  # of a profile: its timestamp_ms
+_COUNTS: Final = Struct("<I8xI")  # of a profile: its ping number and timestamp_ms
+_COUNT, _COUNTER_AT = Struct("<I"), 12  # of a profile: one of them, the number at its start
 _HEAD: Final = Struct("<26xB17xff")  # of a profile: its channel, and the angles that give its side
-_COUNTER_MS: Final = 2**32  # ms after which a 32-bit counter starts over
 _MAX_WAITING: Final = 256  # navigation packets before the next ping
-_RESTART_MS: Final = 1000  # a counter that goes back by more was started anew; heads send within that of each other
 _RESTART_GAP_NS: Final = 100_000_000  # between the last ping before and the first one after, of which nothing is known
 _SAME_TIME_NS: Final = 2_000_000_000  # a further head that differs by this much begins another log
 _MAX_ECHO_S: Final = 5.0  # 3750 m; the decoder refuses what is longer
@@ -93,6 +94,8 @@ class SvlogRecording:
         self._own: Counter[str] = Counter()
         self.notices: list[Notice] = []
         self._clock = _SonarTime()
+        self._order = HeadOrder()
+        self._stamp: Stamp | None = None  # of the newest profile
         self._waiting: deque[bytes | dict[str, Any]] = deque(maxlen=_MAX_WAITING)
         self._mavlink = _Mavlink()
 
@@ -122,45 +125,58 @@ class SvlogRecording:
                     place=self._file.path.name,
                 )
             )
-        stamp: Stamp | None = None
         for framed in self._file:
             message: PingMessage = framed.message
             match message.message_id:
                 case ping_messages.OS_MONO_PROFILE if not self._is_in_use(message):
                     self._own["reader.not_used.frequency"] += 1
                 case ping_messages.OS_MONO_PROFILE:
-                    stamp, counter_ms = self._stamp(message, framed.offset)
-                    yield from self._navigation(stamp)
-                    yield Recorded(SONAR_PORT, "in", stamp, to_wire(_counted(message, counter_ms)))
+                    yield from self._released(self._order.add(self._profile(message, framed.offset)))
                 case ping_messages.NMEA_WRAPPER:
                     self._wait(message.payload.rstrip(b"\0\r\n ") + b"\r\n")
                 case ping_messages.MAVLINK_WRAPPER:
                     self._wait_mavlink(message.payload)
                 case ping_messages.JSON_WRAPPER:
+                    yield from self._released(self._order.finish())
                     self._read_head(message)
                 case _:
                     self._own["reader.other_messages"] += 1
-        if stamp is not None:
-            yield from self._navigation(stamp)
+        yield from self._released(self._order.finish())
+        if self._stamp is not None:
+            yield from self._navigation(self._waiting, self._stamp)
         if (damage := self._file.damage()) is not None:
             self.notices.append(damage)
 
     def _is_in_use(self, message: PingMessage) -> bool:
         return not self._used_hz or is_same_frequency(_FREQUENCY.unpack_from(message.payload)[0], self._used_hz)
 
-    def _stamp(self, message: PingMessage, offset: int) -> tuple[Stamp, int]:
+    def _profile(self, message: PingMessage, offset: int) -> Profile:
+        """Take a profile, and what was stored before it."""
+        channel, *angles_deg = _HEAD.unpack_from(message.payload)
+        head = look_side(*angles_deg) or (channel, message.source)  # some recorders get the source wrong
+        number, counter_ms = _COUNTS.unpack_from(message.payload)
+        profile = Profile(head, number, counter_ms, message, offset, list(self._waiting))
+        self._waiting.clear()
+        return profile
+
+    def _released(self, profiles: list[Profile]) -> Iterator[Recorded]:
+        for profile in profiles:
+            self._stamp, counter_ms = self._stamped(profile)
+            yield from self._navigation(profile.navigation, self._stamp)
+            yield Recorded(SONAR_PORT, "in", self._stamp, to_wire(_counted(profile, counter_ms)))
+
+    def _stamped(self, profile: Profile) -> tuple[Stamp, int]:
         """Compute when the last echo of a profile was received, and what the first head's counter was, ms."""
-        start_mm, length_mm, counter_ms, sound_speed_dmps = _PROFILE.unpack_from(message.payload)
+        start_mm, length_mm, _, sound_speed_dmps = _PROFILE.unpack_from(profile.message.payload)
         echo_s = 2e-3 * (start_mm + length_mm) / (0.1 * sound_speed_dmps) if sound_speed_dmps else 0.0
         if not 0.0 < echo_s < _MAX_ECHO_S:
             echo_s = 0.0
-        place = f"{self._file.path.name}, byte {offset}"
+        place = f"{self._file.path.name}, byte {profile.offset}"
         if not self._clock.is_known and not self._clock.is_used:
             text = "the log's head carries no time: times count from 1970-01-01, and contacts carry them"
             self.notices.append(Notice(code="reader.time_unknown", text=text, place=place))
-        channel, *angles_deg = _HEAD.unpack_from(message.payload)
-        head = channel, message.source, look_side(*angles_deg)
-        time_ns, counter_ms = self._clock.time_ns(head, counter_ms, round(1e9 * echo_s))
+        self._clock.align(profile)
+        time_ns, counter_ms = self._clock.time_ns(profile.head, profile.counter_ms, round(1e9 * echo_s))
         if self._clock.n_restarts > self._own["reader.sonar_restarted"]:
             self._own["reader.sonar_restarted"] = self._clock.n_restarts
             text = (
@@ -188,9 +204,9 @@ class SvlogRecording:
         else:
             self._own["reader.other_messages"] += 1
 
-    def _navigation(self, stamp: Stamp) -> Iterator[Recorded]:
-        """Release what waits for the next ping, stamped with it."""
-        for packet in self._waiting:
+    def _navigation(self, waiting: Iterable[bytes | dict[str, Any]], stamp: Stamp) -> Iterator[Recorded]:
+        """Release what waited for a ping, stamped with it."""
+        for packet in waiting:
             if isinstance(packet, bytes):
                 yield Recorded(NMEA_PORT, "in", stamp, packet)
                 continue
@@ -201,7 +217,6 @@ class SvlogRecording:
                 self._own["reader.mavlink_malformed"] += 1
                 continue
             yield Recorded(MAVLINK_PORT, "in", stamp, data)
-        self._waiting.clear()
 
     def _read_head(self, message: PingMessage) -> None:
         head = decode(message)
@@ -220,11 +235,12 @@ class SvlogRecording:
         self._clock.start(round(when.timestamp() * 1e3) * 1_000_000)
 
 
-def _counted(profile: PingMessage, counter_ms: int) -> PingMessage:
-    """Set a profile's counter."""
-    payload = bytearray(profile.payload)
-    _COUNTER.pack_into(payload, _COUNTER_AT, counter_ms)
-    return profile._replace(payload=bytes(payload))
+def _counted(profile: Profile, counter_ms: int) -> PingMessage:
+    """Set a profile's counter and number to those of the first head."""
+    payload = bytearray(profile.message.payload)
+    _COUNT.pack_into(payload, 0, profile.transmission % 2**32)
+    _COUNT.pack_into(payload, _COUNTER_AT, counter_ms)
+    return profile.message._replace(payload=bytes(payload))
 
 
 class _SonarTime:
@@ -239,6 +255,8 @@ class _SonarTime:
         self._next_ns: int | None = 0
         self._last_ns = self._zero_ns = 0  # of the newest ping; where the counter of the log's first head was 0
         self._counters: dict[Hashable, tuple[int, int]] = {}  # by head: the last counter, ms, and UTC where it was 0
+        self._offsets: Offsets | None = None
+        self._aligned: set[Hashable] = set()  # heads whose UTC holds for these offsets
 
     def start(self, utc_ns: int) -> None:
         """Take the time stamp of a log's head; a further one of about the time reached changes nothing."""
@@ -248,6 +266,29 @@ class _SonarTime:
         self._next_ns = utc_ns
         self._counters.clear()
 
+    def align(self, profile: Profile) -> None:
+        """Put a head on the clock of the other one, as far as it was compared with it."""
+        offsets, head = profile.offsets, profile.head
+        if offsets is None:
+            return
+        if offsets is not self._offsets:
+            self._offsets = offsets
+            begun = zip(offsets.heads, offsets.begin_ms, strict=True)
+            self._aligned = set([one for one, begin_ms in begun if self._goes_on(one, begin_ms)][:1])
+        if head in self._aligned:
+            return
+        self._aligned.add(head)
+        is_first = head == offsets.heads[0]
+        last = self._counters.get(offsets.heads[is_first]) if offsets.heads[is_first] in self._aligned else None
+        if last is not None:
+            at_ms = profile.counter_ms + (offsets.ms if is_first else -offsets.ms)  # by the other head's counter
+            zero_ns = last[1] + (last[0] + signed_ms(at_ms - last[0]) - profile.counter_ms) * 1_000_000
+            self._counters[head] = profile.counter_ms, zero_ns
+
+    def _goes_on(self, head: Hashable, counter_ms: int) -> bool:
+        known = self._counters.get(head)
+        return known is not None and signed_ms(counter_ms - known[0]) >= -RESTART_MS
+
     def time_ns(self, head: Hashable, counter_ms: int, echo_ns: int) -> tuple[int, int]:
         """Compute when the last echo of a ping was received, and what the first head's counter was at the ping, ms.
 
@@ -255,9 +296,9 @@ class _SonarTime:
         """
         self.is_used = True
         known = self._counters.get(head)
-        if known is not None and (counter_ms - known[0]) % _COUNTER_MS < _COUNTER_MS // 2:
-            zero_ns = known[1] + (_COUNTER_MS * 1_000_000 if counter_ms < known[0] else 0)
-        elif known is not None and known[0] - counter_ms <= _RESTART_MS:
+        if known is not None and (counter_ms - known[0]) % COUNTER_MS < COUNTER_MS // 2:
+            zero_ns = known[1] + (COUNTER_MS * 1_000_000 if counter_ms < known[0] else 0)
+        elif known is not None and known[0] - counter_ms <= RESTART_MS:
             zero_ns = known[1]  # an older packet
         elif self._next_ns is not None:
             zero_ns = self._zero_ns = self._next_ns - counter_ms * 1_000_000
@@ -267,11 +308,11 @@ class _SonarTime:
             self._last_ns, self._next_ns = 0, None
         self._counters[head] = counter_ms, zero_ns
         self._last_ns = max(zero_ns + counter_ms * 1_000_000 + echo_ns, self._last_ns)
-        return self._last_ns, (counter_ms + round(1e-6 * (zero_ns - self._zero_ns))) % _COUNTER_MS
+        return self._last_ns, (counter_ms + round(1e-6 * (zero_ns - self._zero_ns))) % COUNTER_MS
 
     def _zero_of_another(self, head: Hashable, counter_ms: int, echo_ns: int, *, restarted: bool) -> int:
         for other, (last_ms, zero_ns) in self._counters.items():
-            if other != head and abs(counter_ms - last_ms) <= _RESTART_MS:
+            if other != head and abs(counter_ms - last_ms) <= RESTART_MS:
                 return zero_ns
         self.n_restarts += restarted
         return self._last_ns + (_RESTART_GAP_NS if restarted else -echo_ns) - counter_ms * 1_000_000
