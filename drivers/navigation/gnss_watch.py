@@ -58,17 +58,17 @@ class GnssWatch:
         return "recovering" if self._n_good < _N_GOOD else None
 
     def _judge(self, seen: _Seen, depth_m: float | None) -> Doubt | None:
-        if self._same_since is None or self._same_since.antenna[:2] != seen.antenna[:2]:
-            self._same_since = seen
+        same, leg = self._same_since, seen.travelled.leg
+        if same is None or same.antenna[:2] != seen.antenna[:2] or same.travelled.leg != leg:
+            self._same_since = same = seen
         if depth_m is not None and depth_m > self._surface_depth_m:
             self._seen.clear()
             return "submerged"
-        frozen_since = self._same_since.travelled
-        if frozen_since.leg == seen.travelled.leg and math.dist(frozen_since[1:], seen.travelled[1:]) > _FROZEN_M:
+        if math.dist(same.travelled[1:], seen.travelled[1:]) > _FROZEN_M:
             return "frozen"
         while self._seen and seen.time_s - self._seen[0].time_s > _WINDOW_S:
             self._seen.popleft()
-        before = next((other for other in self._seen if other.travelled.leg == seen.travelled.leg), None)
+        before = next((other for other in self._seen if other.travelled.leg == leg), None)
         if before is not None:
             east_m, north_m = offset_m(before.position[:2], seen.position[:2])
             way_east_m = seen.travelled.east_m - before.travelled.east_m

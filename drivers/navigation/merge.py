@@ -297,7 +297,7 @@ class NavMerge:
         """Accept the position, unless a satellite receiver cannot have it or the vehicle cannot have got there."""
         source = channel.health.source
         if channel.watch is not None:
-            travelled = self._reckoner.travelled
+            travelled = self._reckoner.travelled(time_s)
             channel.doubt = channel.watch.doubt(time_s, antenna, position, self._fresh("depth"), travelled)
             if channel.doubt is not None:
                 self.counters[f"nav.gnss_{channel.doubt}.{source}"] += 1

@@ -12,9 +12,12 @@ MAX_HOLD_S: Final = 1.5  # a velocity is taken to go on for this long, no longer
 
 
 class Travelled(NamedTuple):
-    """Hold the distance run since the start. leg: the distance between two instants is known only within one leg."""
+    """Hold the distance run since the start.
 
-    leg: int
+    leg: the distance between two instants is known only within one leg; NaN: on none.
+    """
+
+    leg: float
     east_m: float
     north_m: float
 
@@ -45,10 +48,10 @@ class Reckoner:
         self._east_m = self._north_m = self._distance_m = 0.0
         self._anchor: _Anchor | None = None
 
-    @property
-    def travelled(self) -> Travelled:
-        """Return how far the vehicle went on this leg."""
-        return Travelled(self._leg, self._east_m, self._north_m)
+    def travelled(self, time_s: float) -> Travelled:
+        """Return how far the vehicle went, at a time; on no leg where heading or speed are missing."""
+        is_known = self._velocity is not None and time_s - self._time_s <= MAX_HOLD_S
+        return Travelled(self._leg if is_known else NAN, self._east_m, self._north_m)
 
     def turn(self, time_s: float, heading: HeadingReading) -> None:
         """Turn to a heading at its time."""
@@ -62,7 +65,7 @@ class Reckoner:
 
     def fix(self, time_s: float, position: Position) -> None:
         """Start from a measured position."""
-        self._anchor = _Anchor(time_s, position, self.travelled, self._distance_m)
+        self._anchor = _Anchor(time_s, position, self.travelled(time_s), self._distance_m)
 
     def way_m(self) -> float:
         """Return the way made since the last measured position."""
@@ -100,13 +103,14 @@ class Reckoner:
         """Advance by the mean of the last two velocities. Late messages change the velocity, not the distance run."""
         elapsed_s = time_s - self._time_s
         velocity = self._velocity_at(time_s)
-        if elapsed_s > MAX_HOLD_S or velocity is None:
-            if self._velocity is not None:
-                self._leg += 1
+        if elapsed_s > MAX_HOLD_S or velocity is None or self._velocity is None:
+            self._leg += 1
             self._velocity = velocity
             self._time_s = max(self._time_s, time_s)
+            if self._anchor is not None and time_s - self._anchor.time_s <= MAX_HOLD_S:
+                self.fix(*self._anchor[:2])
             return
-        if elapsed_s > 0.0 and self._velocity is not None:
+        if elapsed_s > 0.0:
             east_m = 0.5 * (self._velocity[0] + velocity[0]) * elapsed_s
             north_m = 0.5 * (self._velocity[1] + velocity[1]) * elapsed_s
             self._east_m += east_m

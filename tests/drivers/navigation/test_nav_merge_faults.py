@@ -27,6 +27,12 @@ def values(samples: Sequence[NavSample], field: str) -> list[float]:
     return [value for value in (getattr(sample, field) for sample in samples) if not math.isnan(value)]
 
 
+def without(field: str, from_s: float, until_s: float, fixes: Sequence[NavFix]) -> list[NavFix]:
+    """Take a quantity out of the fixes between two instants."""
+    hole = range(at(from_s).mono_ns, at(until_s).mono_ns)
+    return [structs.replace(one, **{field: math.nan}) if one.received.mono_ns in hole else one for one in fixes]
+
+
 @pytest.mark.parametrize("circle", [False, True])
 def test_a_receiver_that_freezes_under_water_is_found_out_and_the_way_is_reckoned(circle: bool) -> None:
     poses = survey(120, circle)
@@ -110,6 +116,33 @@ def test_a_receiver_on_a_vehicle_that_lies_still_may_repeat_itself() -> None:
     _, notices = run(merged, [fix("gps", float(t), **place(0.0, 0.0)) for t in range(120)] + still)
     assert notices == []
     assert not merged.counters
+
+
+@pytest.mark.parametrize("silent", ["heading_rad", "speed_mps"])
+def test_a_good_receiver_is_believed_while_heading_or_speed_is_lost(silent: str) -> None:
+    gps = [fix("gps", t + 0.05, **place(east, north)) for t, east, north, _ in survey(120, circle=False)[::10]]
+    merged = merge(gps=GPS, dvl=DVL)
+    _, notices = run(merged, gps + without(silent, 30.0, 60.0, dvl_and_compass(120, circle=False)))
+    assert not merged.counters
+    assert [notice.code for notice in notices] == ["nav_quantity_lost", "nav_quantity_back"]
+
+
+def test_no_way_is_reckoned_across_a_time_without_a_speed() -> None:
+    gps = [fix("gps", t + 0.05, **place(east, north)) for t, east, north, _ in survey(40, circle=False)[::10]]
+    samples, _ = run(
+        merge(gps=GPS, dvl=DVL), gps + without("speed_mps", 30.0, 60.0, dvl_and_compass(120, circle=False))
+    )
+    assert max(math.dist((east, north), (0.0, 1.5 * t)) for t, east, north in track(samples)) < 0.1
+
+
+def test_a_receiver_alone_is_used_again_after_it_was_elsewhere_for_a_while() -> None:
+    gps = [
+        fix("gps", float(t), speed_mps=3.0, course_rad=0.0, **place(60.0 if 30 <= t < 38 else 0.0, 3.0 * t))
+        for t in range(120)
+    ]
+    merged = merge(gps=NavUnitSettings(delivers=("position", "speed"), surface_only=True))
+    samples, _ = run(merged, gps)
+    assert [round(t) for t, east, _ in track(samples) if t > 45.0 and abs(east) < 1.0] == list(range(46, 120))
 
 
 def test_speed_of_a_submerged_receiver_is_not_believed_either() -> None:
