@@ -49,9 +49,12 @@ class Reckoner:
         self._anchor: _Anchor | None = None
 
     def travelled(self, time_s: float) -> Travelled:
-        """Return how far the vehicle went, at a time; on no leg where heading or speed are missing."""
-        is_known = self._velocity is not None and time_s - self._time_s <= MAX_HOLD_S
-        return Travelled(self._leg if is_known else NAN, self._east_m, self._north_m)
+        """Return how far the vehicle went until a time near the newest; on no leg where nothing says how fast it is."""
+        ahead_s = time_s - self._time_s
+        if self._velocity is None or ahead_s > MAX_HOLD_S:
+            return Travelled(NAN, self._east_m, self._north_m)
+        east_mps, north_mps = self._velocity
+        return Travelled(self._leg, self._east_m + east_mps * ahead_s, self._north_m + north_mps * ahead_s)
 
     def turn(self, time_s: float, heading: HeadingReading) -> None:
         """Turn to a heading at its time."""
