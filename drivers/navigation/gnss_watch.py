@@ -23,6 +23,7 @@ class _Seen(NamedTuple):
     antenna: Position
     position: Position
     travelled: Travelled
+    is_doubted: bool = False
 
 
 class GnssWatch:
@@ -50,7 +51,7 @@ class GnssWatch:
         """
         seen = _Seen(time_s, antenna, position, travelled)
         doubt = self._judge(seen, depth_m)
-        self._seen.append(seen)
+        self._seen.append(seen._replace(is_doubted=doubt is not None))
         if doubt is not None:
             self._n_good = 0
             return doubt
@@ -68,7 +69,8 @@ class GnssWatch:
             return "frozen"
         while self._seen and seen.time_s - self._seen[0].time_s > _WINDOW_S:
             self._seen.popleft()
-        before = next((other for other in self._seen if other.travelled.leg == leg), None)
+        on_leg = (other for other in self._seen if other.travelled.leg == leg)
+        before = min(on_leg, key=lambda other: other.is_doubted, default=None)  # the oldest good one, or the oldest
         if before is not None:
             east_m, north_m = offset_m(before.position[:2], seen.position[:2])
             way_east_m = seen.travelled.east_m - before.travelled.east_m

@@ -127,6 +127,17 @@ def test_a_good_receiver_is_believed_while_heading_or_speed_is_lost(silent: str)
     assert [notice.code for notice in notices] == ["nav_quantity_lost", "nav_quantity_back"]
 
 
+def test_fixes_that_were_doubted_cast_no_doubt_on_good_ones() -> None:
+    gps = [
+        fix("gps", t + 0.05, **place(east + 40.0 * (30.0 <= t < 34.0), north))
+        for t, east, north, _ in survey(120, circle=False)[::10]
+    ]
+    merged = merge(gps=GPS, dvl=DVL)
+    _, notices = run(merged, gps + dvl_and_compass(120, circle=False))
+    assert merged.counters["nav.gnss_not_the_way_made.gps"] == 4
+    assert [notice.code for notice in notices] == ["nav_dead_reckoning", "nav_position_back"]
+
+
 def test_no_way_is_reckoned_across_a_time_without_a_speed() -> None:
     gps = [fix("gps", t + 0.05, **place(east, north)) for t, east, north, _ in survey(40, circle=False)[::10]]
     samples, _ = run(
