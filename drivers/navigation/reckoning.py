@@ -83,7 +83,6 @@ class Reckoner:
         if (
             anchor is None
             or self._velocity is None
-            or not self._has_run
             or anchor.travelled.leg != self._leg
             or self._heading is None
             or self._speed is None
@@ -124,7 +123,7 @@ class Reckoner:
 
     def _velocity_at(self, time_s: float) -> tuple[float, float] | None:
         """Return the velocity east and north, in m/s, if heading and speed are recent; else None."""
-        if self._speed is None or abs(time_s - self._speed[0]) > MAX_HOLD_S:
+        if not self._has_run or self._speed is None or abs(time_s - self._speed[0]) > MAX_HOLD_S:
             return None
         speed = self._speed[1]
         direction_rad = speed.course_rad

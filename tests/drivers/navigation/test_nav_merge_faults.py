@@ -127,6 +127,14 @@ def test_a_good_receiver_is_believed_while_heading_or_speed_is_lost(silent: str)
     assert [notice.code for notice in notices] == ["nav_quantity_lost", "nav_quantity_back"]
 
 
+def test_a_speed_that_was_never_filled_casts_no_doubt_on_a_receiver() -> None:
+    gps = [fix("gps", t + 0.05, **place(east, north)) for t, east, north, _ in survey(120, circle=False)[::10]]
+    merged = merge(gps=GPS, dvl=DVL)
+    _, notices = run(merged, gps + [structs.replace(one, speed_mps=0.0) for one in dvl_and_compass(120, circle=False)])
+    assert not merged.counters
+    assert notices == []
+
+
 def test_fixes_that_were_doubted_cast_no_doubt_on_good_ones() -> None:
     gps = [
         fix("gps", t + 0.05, **place(east + 40.0 * (30.0 <= t < 34.0), north))
