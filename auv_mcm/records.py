@@ -88,7 +88,8 @@ class NavSample(msgspec.Struct, frozen=True, kw_only=True):
     """Hold what a navigation source knew at `time_s`. Any quantity it did not measure anew is NaN.
 
     position_leaps: the vehicle cannot have got there from the positions before. Perception judges which are right;
-    nobody else may use this one.
+    nobody else may use this one. position_sigma_m: 1-sigma per axis where the source states one, as dead reckoning and
+    inertial units do.
     """
 
     time_s: float
@@ -101,6 +102,7 @@ class NavSample(msgspec.Struct, frozen=True, kw_only=True):
     altitude_m: float = NAN
     speed_mps: float = NAN
     position_leaps: bool = False
+    position_sigma_m: float = NAN
 
 
 class Notice(msgspec.Struct, frozen=True, kw_only=True):
@@ -131,9 +133,9 @@ class PoseTrack(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
     Positions are those of the vehicle's navigation reference point. `heading_rad` is unwrapped along the track. `stale`
     marks instants farther from a navigation sample than the permitted gap, whose values are the nearest known ones, and
-    instants at which fixes dispute the position. `position_sigma_m` is the 1-sigma per axis that age and disputes add
-    to the error of a fix itself, `heading_sigma_rad` the one that a course in its place adds to a compass's; left out,
-    they are 0.
+    instants at which fixes dispute the position. `position_sigma_m` is the 1-sigma per axis that age, disputes
+    and what a source states of itself add to the configured error of a fix, `heading_sigma_rad` the one that a course
+    in its place adds to a compass's; left out, they are 0.
     """
 
     time_s: NDArray[np.float64]

@@ -9,7 +9,7 @@ from auv_mcm.geometry.geodesy import ECCENTRICITY_SQUARED, SEMI_MAJOR_M
 
 
 class Fix(NamedTuple):
-    """Hold one position on the ellipsoid at one time. x, y, z: Earth-centred metres."""
+    """Hold one position on the ellipsoid at one time. x, y, z: Earth-centred metres. sigma_m: beyond any fix's own."""
 
     time_s: float
     x: float
@@ -17,16 +17,17 @@ class Fix(NamedTuple):
     z: float
     latitude_rad: float
     longitude_rad: float
+    sigma_m: float = 0.0
 
 
-def fix_at(time_s: float, latitude_deg: float, longitude_deg: float) -> Fix:
+def fix_at(time_s: float, latitude_deg: float, longitude_deg: float, sigma_m: float = 0.0) -> Fix:
     """Place a position on the ellipsoid, as geodesy.geodetic_to_ecef at height 0."""
     latitude, longitude = math.radians(latitude_deg), math.radians(longitude_deg)
     sine, cosine = math.sin(latitude), math.cos(latitude)
     prime_vertical = SEMI_MAJOR_M / math.sqrt(1.0 - ECCENTRICITY_SQUARED * sine * sine)
     x = prime_vertical * cosine * math.cos(longitude)
     y = prime_vertical * cosine * math.sin(longitude)
-    return Fix(time_s, x, y, prime_vertical * (1.0 - ECCENTRICITY_SQUARED) * sine, latitude, longitude)
+    return Fix(time_s, x, y, prime_vertical * (1.0 - ECCENTRICITY_SQUARED) * sine, latitude, longitude, sigma_m)
 
 
 def chord_m(a: Fix, b: Fix) -> float:

@@ -88,9 +88,9 @@ class NavBuffer:
         self._chord_m = CHORD_M
         self._shortest_lend_s = max(_LEND_S, limits.look_ahead_s)  # as long as the position waits for a later fix
         self._lend_s = self._shortest_lend_s
-        self._n_unbridged = 0
-        self._newest_s = -math.inf
-        self._oldest_s = -math.inf
+        self._n_unbridged = self._n_zero_altitudes = 0  # instants; altitudes in a row
+        self._newest_s = self._oldest_s = -math.inf
+        self._fix_sigma_m = config.position_sigma_m
         self._last_heading: float | None = None
         self._last_course: float | None = None
         self._leap: NavSample | None = None
@@ -100,7 +100,6 @@ class NavBuffer:
         self._decided: deque[bool] = deque(maxlen=_REJECTED_WINDOW)  # per fix: was it rejected?
         self._steps_s: list[tuple[float, float]] = []  # fixes between which the track steps to another place
         self._heading_check = checks.HeadingCheck()
-        self._n_zero_altitudes = 0  # in a row
         self._notices = NavNotices(set() if raised is None else raised)
         self._last_fix: Fix | None = None
         self._chord_start: Fix | None = None
@@ -269,7 +268,7 @@ class NavBuffer:
         self._newest_s = time_s
         latitude, longitude, heading, *plain = values_of(sample, self.counters)
         if latitude == latitude or longitude == longitude:
-            self._store_position(time_s, latitude, longitude)
+            self._store_position(time_s, latitude, longitude, sample.position_sigma_m)
         if math.isfinite(self._agreement.waiting_since_s):
             self._decide(self._agreement.advance(time_s))
         for channel, value, (name, low, high) in zip(
@@ -369,7 +368,7 @@ class NavBuffer:
         if self._n_zero_altitudes >= checks.ZERO_ALTITUDES:
             self._notices.altitude_zero(time_s)
 
-    def _store_position(self, time_s: float, latitude: float, longitude: float) -> None:
+    def _store_position(self, time_s: float, latitude: float, longitude: float, sigma_m: float) -> None:
         if not (math.isfinite(latitude) and math.isfinite(longitude)):
             self.counters["navigation.not_finite"] += 1
             return
@@ -384,7 +383,8 @@ class NavBuffer:
         if self._held_position.add(time_s, latitude, longitude, self._last_speed_mps):
             self.counters["navigation.position_repeated"] += 1
             return
-        self._decide(self._agreement.add(fix_at(time_s, latitude, longitude)))
+        added_m = math.sqrt(max(0.0, sigma_m * sigma_m - self._fix_sigma_m**2))  # 0 where none is stated
+        self._decide(self._agreement.add(fix_at(time_s, latitude, longitude, added_m)))
 
     def _decide(self, decision: FixDecision[Fix]) -> None:
         if not decision.accepted and not decision.n_rejected:
@@ -393,7 +393,7 @@ class NavBuffer:
         for number, fix in enumerate(accepted):
             if number == 0 and decision.step_m > 0.0:
                 self._step(fix, decision.step_m)
-            doubt = (decision.doubt_m, float(decision.disputed))
+            doubt = (math.hypot(decision.doubt_m, fix.sigma_m), float(decision.disputed))
             self._accept(fix, number > 0 or decision.step_m == 0.0, doubt)
         if decision.disputed and accepted:
             self._notices.position_disputed(decision.doubt_m, accepted[-1].time_s)

@@ -19,11 +19,12 @@ _SHARPEST_COSINE: Final = 1e-9  # keeps steps finite at a pole
 
 
 class Position(NamedTuple):
-    """Hold a position with its 1-sigma."""
+    """Hold a position with its 1-sigma. is_stated: by the unit or by reckoning, not by the unit's settings."""
 
     latitude_deg: float
     longitude_deg: float
     sigma_m: float
+    is_stated: bool = False
 
 
 class HeadingReading(NamedTuple):
@@ -81,7 +82,8 @@ def readings_of(fix: NavFix, unit: NavUnitSettings) -> tuple[Readings, list[Quan
         known,
         abs(latitude_deg) <= 90.0 and abs(longitude_deg) <= 180.0 and (latitude_deg, longitude_deg) != (0, 0),
     ):
-        position = Position(latitude_deg, longitude_deg, _sigma(fix.position_sigma_m, unit.position_sigma_m))
+        sigma_m = _sigma(fix.position_sigma_m, unit.position_sigma_m)
+        position = Position(latitude_deg, longitude_deg, sigma_m, sigma_m == fix.position_sigma_m)
     if plausible("heading", fix.heading_rad == fix.heading_rad, abs(fix.heading_rad) <= _TURN + 0.02):
         turned = unit.heading_sign * fix.heading_rad + math.radians(unit.heading_offset_deg)
         heading = HeadingReading(turned % _TURN, _sigma(fix.heading_sigma_rad, math.radians(unit.heading_sigma_deg)))

@@ -6,7 +6,7 @@ import math
 from typing import Any, Final, NamedTuple
 
 from auv_mcm.geometry.fix_agreement import FixAgreement
-from auv_mcm.records import NavSample
+from auv_mcm.records import NAN, NavSample
 from auv_mcm.settings.port_settings import NavUnitSettings, Quantity
 from drivers.navigation.corrections import AttitudeReading, HeadingReading, Position, SpeedReading, offset_m
 from drivers.navigation.gnss_watch import Doubt, GnssWatch
@@ -82,6 +82,7 @@ def sample_of(utc_s: float, served: dict[Quantity, Any], position_leaps: bool = 
         match reading:
             case Position():
                 reported.update(latitude_deg=reading.latitude_deg, longitude_deg=reading.longitude_deg)
+                reported["position_sigma_m"] = reading.sigma_m if reading.is_stated else NAN
             case HeadingReading():
                 reported["heading_rad"] = reading.heading_rad
             case AttitudeReading():

@@ -284,7 +284,7 @@ class NavMerge:
         if arm is None:
             return position._replace(sigma_m=math.hypot(position.sigma_m, *unit.lever_arm_m[:2]))
         north_m, east_m, _ = arm
-        return Position(*moved(position.latitude_deg, position.longitude_deg, -east_m, -north_m), position.sigma_m)
+        return Position(*moved(position.latitude_deg, position.longitude_deg, -east_m, -north_m), *position[2:])
 
     def _vertical(self, quantity: Quantity, value_m: float, unit: NavUnitSettings) -> float:
         if unit.lever_arm_m == (0.0, 0.0, 0.0):

@@ -98,7 +98,7 @@ class Reckoner:
         across_m = self._heading[1].sigma_rad * (self._distance_m - anchor.distance_m)
         along_m = self._speed[1].sigma_mps * max(self._time_s - anchor.time_s, 0.0)
         return self._time_s, Position(
-            latitude_deg, longitude_deg, math.sqrt(place.sigma_m**2 + across_m**2 + along_m**2)
+            latitude_deg, longitude_deg, math.sqrt(place.sigma_m**2 + across_m**2 + along_m**2), is_stated=True
         )
 
     def _go_to(self, time_s: float) -> None:

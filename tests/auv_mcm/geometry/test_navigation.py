@@ -330,6 +330,14 @@ def test_a_new_place_makes_no_speed() -> None:
     np.testing.assert_allclose(track.heading_rad, math.pi / 2, atol=1e-3)
 
 
+@pytest.mark.parametrize(("stated_m", "added_m"), [(NAN, 0.0), (0.8, 0.0), (1.25, 0.75), (20.0, math.sqrt(399.0))])
+def test_a_sigma_that_a_source_states_counts_where_it_is_more_than_the_configured_one(
+    stated_m: float, added_m: float
+) -> None:
+    buffer = filled(here(t, north=t, position_sigma_m=stated_m) for t in range(20))
+    assert at(buffer, 9.5).position_sigma_m == pytest.approx([added_m])
+
+
 def test_no_position_at_all_is_stale_not_zero() -> None:
     buffer = filled(only(0.1 * i, heading_rad=1.0) for i in range(10))
     track = at(buffer, 0.5)

@@ -54,6 +54,7 @@ def test_one_unit_goes_through_as_it_is() -> None:
             depth_m=5.0,
             altitude_m=8.0,
             speed_mps=1.5,
+            position_sigma_m=0.5,
         )
         for t, east, north, heading in survey(20)
     ]

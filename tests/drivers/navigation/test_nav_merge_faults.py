@@ -250,6 +250,18 @@ def test_the_sigma_of_reckoned_positions_grows_and_steps_are_reported() -> None:
     assert [notice.code for notice in notices] == ["nav_dead_reckoning"] * 4, "at once, then at 10, 20 and 50 m"
 
 
+def test_poses_by_dead_reckoning_carry_its_sigma() -> None:
+    gps = [fix("gps", t + 0.05, **place(east, north)) for t, east, north, _ in survey(30, circle=False)[::10]]
+    merged = merge(gps=GPS, dvl=DVL)
+    samples, _ = run(merged, gps + dvl_and_compass(600, circle=False))
+    buffer = NavBuffer(NavigationConfig())
+    for sample in samples:
+        buffer.add(sample)
+    poses = buffer.interpolate(T0.utc_ns * 1e-9 + np.array([20.0, 599.0]))
+    assert merged.position_sigma_m > 30.0
+    assert poses.position_sigma_m == pytest.approx([0.0, merged.position_sigma_m], rel=0.01)
+
+
 @pytest.mark.parametrize("silent", ["heading_rad", "speed_mps"])
 def test_without_heading_or_speed_no_position_is_made_up(silent: str) -> None:
     fixes = [fix("gps", float(t), **place(0.0, 1.5 * t)) for t in range(10)]
