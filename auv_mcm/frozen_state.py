@@ -14,8 +14,7 @@ from typing import Any, Final
 
 _PROTOCOL: Final = 5  # of pickle: the first that writes arrays without copying them
 _PLAIN: Final = {
-    "auv_mcm.geometry.fix": {"chord_m"},  # by which fixes are compared
-    "auv_mcm.geometry.navigation": {"_reach_m"},
+    "auv_mcm.geometry.fix": {"chord_m", "reach_m"},  # by which fixes are compared
     "array": {"array", "_array_reconstructor"},
     "builtins": {"bytearray", "complex", "frozenset", "range", "set", "slice"},
     "collections": {"Counter", "OrderedDict", "deque", "defaultdict"},

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from auv_mcm.geometry.geodesy import ECCENTRICITY_SQUARED, SEMI_MAJOR_M
+from auv_mcm.geometry.sample_values import MAX_SPEED_MPS
+
+JUMP_SLACK_M: Final = 3.0  # fixes scatter and are rounded, which over a few milliseconds looks like any speed
+_N_SIGMA: Final = 3.0  # standard deviations: of sound fixes one in 370 is further off
 
 
 class Fix(NamedTuple):
@@ -33,6 +37,21 @@ def fix_at(time_s: float, latitude_deg: float, longitude_deg: float, sigma_m: fl
 def chord_m(a: Fix, b: Fix) -> float:
     """Measure the chord between two fixes."""
     return math.hypot(b.x - a.x, b.y - a.y, b.z - a.z)
+
+
+def is_corrected(a: Fix, b: Fix) -> bool:
+    """Check whether b, known twice as well or better, says where a should have been: there is no motion from a to b."""
+    return 2.0 * b.sigma_m < a.sigma_m
+
+
+def way_m(a: Fix, b: Fix) -> float:
+    """Give the longest way between two fixes that may be motion."""
+    return JUMP_SLACK_M + MAX_SPEED_MPS * (b.time_s - a.time_s)
+
+
+def reach_m(a: Fix, b: Fix) -> float:
+    """Give how far apart two fixes of one source may be, by motion and by what the second corrects."""
+    return way_m(a, b) + (_N_SIGMA * a.sigma_m if is_corrected(a, b) else 0.0)
 
 
 def course_rad(a: Fix, b: Fix) -> float:

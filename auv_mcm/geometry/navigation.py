@@ -17,17 +17,16 @@ from numpy.typing import NDArray
 
 from auv_mcm.geometry import navigation_checks as checks
 from auv_mcm.geometry.bridging import MAX_HOLE_S, Bridged, Dated, Odometer
-from auv_mcm.geometry.fix import Fix, chord_m, course_rad, fix_at
+from auv_mcm.geometry.fix import Fix, chord_m, course_rad, fix_at, is_corrected, reach_m, way_m
 from auv_mcm.geometry.fix_agreement import FixAgreement, FixDecision
 from auv_mcm.geometry.geodesy import ecef_to_geodetic
 from auv_mcm.geometry.navigation_notices import NavNotices
-from auv_mcm.geometry.sample_values import MAX_SPEED_MPS, RANGES, values_of
+from auv_mcm.geometry.sample_values import RANGES, values_of
 from auv_mcm.geometry.timed_values import CLOCK_S, Limits, TimedValues, measured_or_derived
 from auv_mcm.geometry.track_speed import SpeedCheck, SpeedEstimate, TrackPoint, TrackSpeed, Verdicts
 from auv_mcm.records import NAN, NavSample, Notice, PoseTrack
 from auv_mcm.settings.config import NavigationConfig
 
-JUMP_SLACK_M: Final = 3.0  # fixes scatter and are rounded, which over a few milliseconds looks like any speed
 # Fixes that contradict the ones before must agree this long until they are accepted: a receiver that was 1 degree off
 # for 4 s came back.
 # Pings wait 5 s for navigation by default, so the decision comes before they are placed.
@@ -94,7 +93,7 @@ class NavBuffer:
         self._last_heading: float | None = None
         self._last_course: float | None = None
         self._leap: NavSample | None = None
-        self._agreement = FixAgreement(chord_m, _reach_m, AGREE_S)
+        self._agreement = FixAgreement(chord_m, reach_m, AGREE_S)
         self._last_offered_s = -math.inf  # time of the newest position offered, accepted or not
         self._held_position = checks.HeldPositionCheck()
         self._decided: deque[bool] = deque(maxlen=_REJECTED_WINDOW)  # per fix: was it rejected?
@@ -253,7 +252,7 @@ class NavBuffer:
         self._newest_s = self._oldest_s = -math.inf
         for channel in self._all:
             channel.clear()
-        self._agreement = FixAgreement(chord_m, _reach_m, AGREE_S)
+        self._agreement = FixAgreement(chord_m, reach_m, AGREE_S)
         self._last_offered_s, self._held_position = -math.inf, checks.HeldPositionCheck()
         self._last_fix = self._chord_start = None
         self._last_heading = self._last_course = None
@@ -418,6 +417,10 @@ class NavBuffer:
     def _accept(self, fix: Fix, joined: bool, doubt: tuple[float, float]) -> None:
         """Take a fix; `joined` is False if the vehicle cannot have travelled there from the last one."""
         start, last = self._chord_start, self._last_fix
+        if joined and last is not None and is_corrected(last, fix):
+            joined = False
+            if chord_m(last, fix) > way_m(last, fix):
+                self._steps_s.append((last.time_s, fix.time_s))
         self._position.append(fix.time_s, (fix.x, fix.y, fix.z, *doubt, self._lend_s), joined)
         self._new_fixes.append((fix, joined))
         chord_hole_s, hole_s = self._chord_hole_s, math.inf if last is None else fix.time_s - last.time_s
@@ -494,7 +497,3 @@ class NavBuffer:
             self.counters[counter] = 1
             values = np.where(absent, 0.0, values)
         return values
-
-
-def _reach_m(a: Fix, b: Fix) -> float:
-    return JUMP_SLACK_M + MAX_SPEED_MPS * (b.time_s - a.time_s)

@@ -15,8 +15,8 @@ from typing import Any, Final, NamedTuple, TypeAlias
 from msgspec import structs
 
 from auv_mcm.clock import Stamp
+from auv_mcm.geometry.fix import JUMP_SLACK_M
 from auv_mcm.geometry.fix_agreement import FixAgreement
-from auv_mcm.geometry.navigation import JUMP_SLACK_M
 from auv_mcm.geometry.sample_values import MAX_SPEED_MPS
 from auv_mcm.records import NAN, NavSample, Notice
 from auv_mcm.settings.port_settings import QUANTITIES, NavUnitSettings, Quantity

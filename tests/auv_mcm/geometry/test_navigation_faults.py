@@ -222,6 +222,19 @@ def test_a_jump_within_the_bridging_time_is_never_interpolated() -> None:
     assert ((np.abs(east) < 0.3) | (np.abs(east - 500.0) < 0.3)).all()
 
 
+@pytest.mark.parametrize("off_m", [4.0, 9.0, 25.0])
+def test_the_fix_that_ends_dead_reckoning_is_taken_at_once_and_is_no_motion(off_m: float) -> None:
+    reckoned = [here(0.1 * n, north=0.2 * n + off_m, speed_mps=2.0, position_sigma_m=15.0) for n in range(300)]
+    buffer = filled(reckoned + [here(30.0 + 0.2 * n, north=60.0 + 0.4 * n, speed_mps=2.0) for n in range(100)])
+    poses = at(buffer, 29.8, 30.1, 32.0, 34.0, 45.0)
+    assert east_north(poses)[:, 1] == pytest.approx([59.6 + off_m, 60.2, 64.0, 68.0, 90.0], abs=0.05)
+    assert poses.position_sigma_m == pytest.approx([math.sqrt(224.0), 0.0, 0.0, 0.0, 0.0])
+    assert poses.speed_mps == pytest.approx(2.0, abs=0.01)
+    assert not poses.stale.any()
+    assert not buffer.counters
+    assert buffer.take_notices() == []
+
+
 def test_scattered_wrong_fixes_never_count_as_agreement() -> None:
     samples = []
     for i in range(20):

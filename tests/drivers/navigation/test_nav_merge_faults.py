@@ -166,9 +166,7 @@ def test_a_receiver_alone_is_used_again_after_it_was_elsewhere_for_a_while() -> 
 
 def test_the_way_is_reckoned_from_where_a_late_fix_was_measured() -> None:
     gps = [fix("gps", t + 1.0, **place(east, north)) for t, east, north, _ in survey(30, circle=False)[::10]]
-    samples, _ = run(
-        merge(gps=structs.replace(GPS, latency_s=1.0), dvl=DVL), gps + dvl_and_compass(60, circle=False)
-    )
+    samples, _ = run(merge(gps=structs.replace(GPS, latency_s=1.0), dvl=DVL), gps + dvl_and_compass(60, circle=False))
     assert max(math.dist((east, north), (0.0, 1.5 * t)) for t, east, north in track(samples)) < 0.1
 
 
