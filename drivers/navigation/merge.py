@@ -97,16 +97,14 @@ class NavMerge:
         self._lost: set[Quantity] = set()
         self._reckoned_s = -math.inf
         self._position_s = -math.inf  # of the newest position, measured or reckoned
-        self._reckoning = False
-        self._position_lost = False
+        self._reckoning = self._position_lost = False
         self._n_steps_reported = 0
         self._reckoned_off = False  # reported that dead reckoning ended far from the next position
-        self._now_s = -math.inf
+        self._now_s = self._last_utc_s = -math.inf
         self._hold_s = _QUEUE_SLACK_S + max((unit.latency_s for unit in settings.units.values()), default=0.0)
-        self._queue: list[tuple[float, int, NavSample]] = []
+        self._queue: list[tuple[float, int, NavSample, bool]] = []  # and whether it was reckoned
         self._n_queued = 0
         self._released_s = -math.inf  # monotonic
-        self._last_utc_s = -math.inf
 
     def feed(self, fix: NavFix) -> list[Event]:
         """Take a fix; return the samples that are due, and notices."""
@@ -160,7 +158,7 @@ class NavMerge:
             self._put(time_s, sample_of(utc_s, given, position_leaps=leap is not None and "position" in given))
         if "position" in served:
             self._position_s, self.position_sigma_m = time_s, served["position"].sigma_m
-            events += self._position_back()
+            events += self._position_back(time_s)
         elif "heading" in served or "speed" in served:
             events += self._reckon(fix.received)
         return events + self._due()
@@ -431,7 +429,7 @@ class NavMerge:
         self.counters["nav.reckoned"] += 1
         self.position_sigma_m = position.sigma_m
         utc_s = stamp.utc_ns * 1e-9 - (stamp.mono_ns * 1e-9 - time_s)
-        self._put(time_s, sample_of(utc_s, {"position": position}))
+        self._put(time_s, sample_of(utc_s, {"position": position}), is_reckoned=True)
         events: list[Event] = []
         if not self._reckoning:
             self._reckoning, self._position_lost = True, False
@@ -463,9 +461,11 @@ class NavMerge:
         ]
         return f" ({', '.join(doubts)})" if doubts else ""
 
-    def _position_back(self) -> list[Event]:
+    def _position_back(self, time_s: float) -> list[Event]:
         if not (self._reckoning or self._position_lost):
             return []
+        self._queue = [queued for queued in self._queue if not (queued[3] and queued[0] >= time_s)]  # from an older fix
+        heapq.heapify(self._queue)
         self._reckoning = self._position_lost = False
         serving = self._fallbacks["position"].serving
         name = "" if serving is None else f" from '{serving.source}'"
@@ -480,18 +480,18 @@ class NavMerge:
             self.counters[f"nav.thinned.{quantity}.{source}"] += 1
         return taken
 
-    def _put(self, time_s: float, sample: NavSample) -> None:
+    def _put(self, time_s: float, sample: NavSample, is_reckoned: bool = False) -> None:
         if time_s < self._released_s:
             self.counters["nav.too_late"] += 1
             return
-        heapq.heappush(self._queue, (time_s, self._n_queued, sample))
+        heapq.heappush(self._queue, (time_s, self._n_queued, sample, is_reckoned))
         self._n_queued += 1
 
     def _due(self) -> list[Event]:
         """Return the samples that no later fix can precede."""
         due: list[Event] = []
         while self._queue and self._queue[0][0] <= self._now_s - self._hold_s:
-            self._released_s, _, sample = heapq.heappop(self._queue)
+            self._released_s, _, sample, _ = heapq.heappop(self._queue)
             # Two readings of two clocks are never exactly as far apart, so equal instants may differ by microseconds.
             if 0.0 < self._last_utc_s - sample.time_s < _TICK_S:
                 sample = structs.replace(sample, time_s=self._last_utc_s)

@@ -260,6 +260,15 @@ def test_poses_by_dead_reckoning_carry_its_sigma() -> None:
     assert poses.position_sigma_m == pytest.approx([0.0, merged.position_sigma_m], rel=0.01)
 
 
+def test_fixes_that_come_late_and_seldom_make_the_track_go_back_nowhere() -> None:
+    """A place that was reckoned from the fix before stands behind the next one, which was measured earlier."""
+    usbl = [fix("usbl", 4.0 * n + 1.0, **place(0.0, 6.0 * n + 5.0 * (n % 2))) for n in range(30)]
+    unit = NavUnitSettings(delivers=("position",), latency_s=1.0)
+    samples, _ = run(merge(usbl=unit, dvl=DVL), usbl + dvl_and_compass(120, circle=False))
+    leaps_s = [after[0] for before, after in pairwise(track(samples)) if abs(after[2] - before[2]) > 4.0]
+    assert leaps_s == pytest.approx([4.0 * n for n in range(1, 30)], abs=1e-3)
+
+
 @pytest.mark.parametrize("silent", ["heading_rad", "speed_mps"])
 def test_without_heading_or_speed_no_position_is_made_up(silent: str) -> None:
     fixes = [fix("gps", float(t), **place(0.0, 1.5 * t)) for t in range(10)]
