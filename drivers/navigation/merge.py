@@ -397,7 +397,7 @@ class NavMerge:
             return []
         off_m = math.hypot(*offset_m(reckoned[1][:2], position[:2]))
         way_m = self._reckoner.way_m()
-        if off_m <= N_SIGMA * position.sigma_m + _RECKONED_SHARE * way_m:
+        if off_m <= N_SIGMA * math.hypot(position.sigma_m, reckoned[1].sigma_m) + _RECKONED_SHARE * way_m:
             return []
         self._reckoned_off = True
         text = (

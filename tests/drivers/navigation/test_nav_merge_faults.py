@@ -260,6 +260,18 @@ def test_poses_by_dead_reckoning_carry_its_sigma() -> None:
     assert poses.position_sigma_m == pytest.approx([0.0, merged.position_sigma_m], rel=0.01)
 
 
+@pytest.mark.parametrize(("speed_mps", "n_notices"), [(1.5, 0), (2.3, 1)])
+def test_only_an_end_beyond_both_errors_makes_dead_reckoning_off(speed_mps: float, n_notices: int) -> None:
+    random = np.random.Generator(np.random.PCG64(1))
+    usbl = [
+        fix("usbl", t + 0.05, **place(east + 3.0 * random.standard_normal(), north + 3.0 * random.standard_normal()))
+        for t, east, north, _ in survey(2000, circle=False)[::200]
+    ]
+    way = [structs.replace(one, speed_mps=speed_mps) for one in dvl_and_compass(2000, circle=False)]
+    _, notices = run(merge(usbl=NavUnitSettings(delivers=("position",), position_sigma_m=3.0), dvl=DVL), usbl + way)
+    assert [notice.code for notice in notices].count("nav_reckoning_off") == n_notices
+
+
 def test_fixes_that_come_late_and_seldom_make_the_track_go_back_nowhere() -> None:
     """A place that was reckoned from the fix before stands behind the next one, which was measured earlier."""
     usbl = [fix("usbl", 4.0 * n + 1.0, **place(0.0, 6.0 * n + 5.0 * (n % 2))) for n in range(30)]
