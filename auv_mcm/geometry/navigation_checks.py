@@ -34,13 +34,13 @@ ZERO_ALTITUDES: Final = 20
 """Altitudes of exactly 0 in a row that are reported: a bottom lock that is lost for a ping or two is not."""
 
 
-_CROSS_CURRENT_MPS: Final = 0.25
+CROSS_CURRENT_MPS: Final = 0.25
 """1-sigma of the current across the track: 0.14, 0.23 and 0.35 by compass and course of three recorded lines."""
 
 
 def crab_sigma_rad(speed_mps: NDArray[np.float64]) -> NDArray[np.float64]:
     """Compute the 1-sigma between heading and course, rad (n,), at speeds over ground, m/s (n,); NaN counts as 0."""
-    return np.asarray(np.arctan2(_CROSS_CURRENT_MPS, np.nan_to_num(np.abs(speed_mps))))
+    return np.asarray(np.arctan2(CROSS_CURRENT_MPS, np.nan_to_num(np.abs(speed_mps))))
 
 
 class HeadingCheck:

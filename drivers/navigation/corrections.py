@@ -6,6 +6,7 @@ import math
 from typing import Final, NamedTuple
 
 from auv_mcm.geometry.geodesy import ECCENTRICITY_SQUARED, SEMI_MAJOR_M
+from auv_mcm.geometry.navigation_checks import CROSS_CURRENT_MPS
 from auv_mcm.records import NAN
 from auv_mcm.settings.port_settings import NavUnitSettings, Quantity
 from drivers.navigation.nav_decoder import NavFix
@@ -101,7 +102,10 @@ def readings_of(fix: NavFix, unit: NavUnitSettings) -> tuple[Readings, list[Quan
     if plausible("speed", speed_mps == speed_mps, abs(speed_mps) <= _MAX_SPEED_MPS):
         course_rad = fix.course_rad if abs(fix.course_rad) <= _TURN + 0.02 else NAN
         drift_rad = fix.drift_rad + math.radians(unit.heading_offset_deg) if abs(fix.drift_rad) <= _TURN else NAN
-        speed = SpeedReading(speed_mps, course_rad, drift_rad, _sigma(fix.speed_sigma_mps, unit.speed_sigma_mps))
+        sigma_mps = _sigma(fix.speed_sigma_mps, unit.speed_sigma_mps)
+        if math.isnan(fix.speed_mps):
+            sigma_mps = math.hypot(sigma_mps, CROSS_CURRENT_MPS)  # through the water, which moves any way
+        speed = SpeedReading(speed_mps, course_rad, drift_rad, sigma_mps)
     return Readings(position, heading, attitude, depth, altitude, speed), impossible
 
 

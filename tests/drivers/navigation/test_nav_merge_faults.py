@@ -248,6 +248,16 @@ def test_the_sigma_of_reckoned_positions_grows_and_steps_are_reported() -> None:
     assert [notice.code for notice in notices] == ["nav_dead_reckoning"] * 4, "at once, then at 10, 20 and 50 m"
 
 
+def test_a_speed_through_the_water_reckons_with_the_error_of_a_current() -> None:
+    """The current sets to the east with 0.4 m/s."""
+    gps = [fix("gps", t + 0.05, **place(0.4 * t, north)) for t, _, north, _ in survey(60, circle=False)[::10]]
+    way = [fix("dvl", t, heading_rad=0.0, water_speed_mps=1.5) for t, *_ in survey(200, circle=False)]
+    merged = merge(gps=GPS, dvl=DVL)
+    samples, _ = run(merged, gps + way)
+    t, east, north = track(samples)[-1]
+    assert math.dist((east, north), (0.4 * t, 1.5 * t)) < 2.0 * merged.position_sigma_m
+
+
 def test_poses_by_dead_reckoning_carry_its_sigma() -> None:
     gps = [fix("gps", t + 0.05, **place(east, north)) for t, east, north, _ in survey(30, circle=False)[::10]]
     merged = merge(gps=GPS, dvl=DVL)
