@@ -117,33 +117,6 @@ class BackgroundModel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
         return self.cascade if detector == "cascade" else self.contrast
 
 
-class FalseAlarms(NamedTuple):
-    """State a density, per km², with its 95 % interval."""
-
-    per_km2: float
-    low: float
-    high: float
-
-
-class Background(NamedTuple):
-    """Hold how densely non-mines lie that reach each of LEVELS_NATS, as logarithms of contacts per km², (N_BINS,) each.
-
-    middle: the middle of the estimate; low, high: its 95 % interval. All fall from level to level.
-    """
-
-    middle: Array
-    low: Array
-    high: Array
-
-    def false_alarms(self, log_odds: float) -> FalseAlarms:
-        """Read the density of non-mines with these log-odds of a mine or more.
-
-        Below the lowest level it is that of the lowest.
-        """
-        middle, low, high = (math.exp(float(np.interp(log_odds, LEVELS_NATS, part))) for part in self)
-        return FalseAlarms(middle, low, high)
-
-
 def counted_log_odds(log_odds: ArrayLike) -> Array:
     """Count log-odds per bin, (N_BINS,); those below the lowest level are left out."""
     values = np.asarray(log_odds, dtype=np.float64)

@@ -50,7 +50,7 @@ def call_words(contact: Contact) -> str:
 
 def _two_digits(value: float) -> str:
     """Write a number with two significant digits, never as a power of ten."""
-    return f"{float(f'{value:.2g}'):,.15g}".replace(",", "") if math.isfinite(value) else "?"
+    return f"{float(f'{value:.2g}'):.4f}".rstrip("0").rstrip(".") if math.isfinite(value) else "?"
 
 
 def view_reasons(view: Detection) -> tuple[str, ...]:

@@ -9,30 +9,50 @@ stays within what the operator accepts.
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from auv_mcm.classify.beliefs import MINE_LIKE_P
-from auv_mcm.contacts.background import BIN_NATS, LEVELS_NATS, LOWEST_NATS, Background
+from auv_mcm.contacts.background import BIN_NATS, LOWEST_NATS
 from auv_mcm.detect.belief import odds_of
 
 _SIGMAS_95: Final = 1.959964  # standard deviations of the ends of the central 95 %
 _MIN_AREA_KM2: Final = 1e-4  # a few pings: contacts can be placed where nothing counts as covered, as in a turn
 _ON_BARE_FLOOR: Final = 0.5  # of the false alarms called: 139 of 307 per km² on ten named scenes
-_NONE: Final = 1e-6  # expected false alarms that stand for none, whose logarithm is taken
 
 
-def expected_alarms(log_odds: ArrayLike, area_km2: float) -> Background:
-    """Expect false alarms per km² that reach each level, from contacts of these log-odds (n,), with 95 % intervals."""
-    nats = np.sort(_counted(log_odds))[::-1]
-    area_km2 = max(area_km2, _MIN_AREA_KM2)
-    reaching = np.searchsorted(-nats, -LEVELS_NATS, side="right")
-    expected = np.append(0.0, np.cumsum(_no_mine(nats)))[reaching]
-    low, high = (poisson_end(expected, sigmas) for sigmas in (-_SIGMAS_95, _SIGMAS_95))
-    middle, low, high = (np.log(np.maximum(n, _NONE) / area_km2) for n in (expected, low, high))
-    return Background(middle, low, high)
+class FalseAlarms(NamedTuple):
+    """State a density, per km², with its 95 % interval."""
+
+    per_km2: float
+    low: float
+    high: float
+
+
+class ExpectedAlarms(NamedTuple):
+    """Hold the false alarms that a mission's contacts make expect.
+
+    nats: log-odds of the contacts counted, rising, (n,). expected: false alarms among the likeliest 0 to n, (n + 1,).
+    """
+
+    nats: NDArray[np.float64]
+    expected: NDArray[np.float64]
+    area_km2: float
+
+    def reaching(self, log_odds: float) -> FalseAlarms:
+        """Expect the density of non-mines among the contacts that have these log-odds or more."""
+        n = len(self.nats) - int(np.searchsorted(self.nats, log_odds))
+        ends = (poisson_end(self.expected[n], sigmas) for sigmas in (-_SIGMAS_95, _SIGMAS_95))
+        return FalseAlarms(*(float(count) / self.area_km2 for count in (self.expected[n], *ends)))
+
+
+def expected_alarms(log_odds: ArrayLike, area_km2: float) -> ExpectedAlarms:
+    """Expect false alarms on an area from contacts of these log-odds (n,)."""
+    nats = np.sort(_counted(log_odds))
+    expected = np.append(0.0, np.cumsum(_no_mine(nats[::-1])))
+    return ExpectedAlarms(nats, expected, max(area_km2, _MIN_AREA_KM2))
 
 
 def called_from_nats(log_odds: ArrayLike, area_km2: float, asked_per_km2: float) -> float:

@@ -11,8 +11,8 @@ import msgspec
 import numpy as np
 
 from auv_mcm.classify.beliefs import MINE_LIKE_P, most_believed
-from auv_mcm.contacts.background import LEVELS_NATS, LOWEST_NATS, Background, BackgroundPrior, expected_background
-from auv_mcm.contacts.expected_alarms import called_from_nats, expected_alarms, is_short
+from auv_mcm.contacts.background import LEVELS_NATS, LOWEST_NATS, BackgroundPrior, expected_background
+from auv_mcm.contacts.expected_alarms import ExpectedAlarms, called_from_nats, expected_alarms, is_short
 from auv_mcm.contacts.seen_area import SeenArea
 from auv_mcm.detect.belief import odds_of
 from auv_mcm.records import NAN, Contact, CoveragePatch, Notice, contact_number
@@ -33,21 +33,21 @@ _CALLED: Final = 2  # announced as called
 class OperatingPoint(NamedTuple):
     """Hold what is accepted, and the false alarms that a mission's contacts make expect so far.
 
-    asked_per_km2: false alarms accepted. n_contacts, area_km2: what they are expected from. background: None where
+    asked_per_km2: false alarms accepted. n_contacts, area_km2: what they are expected from. expected: None where
     p_mine is not calibrated, as without confirmation. level_nats: lowest log-odds called, those of p_mine 0.2 where
-    there is no background.
+    nothing is expected.
     """
 
     asked_per_km2: float
     n_contacts: int
     area_km2: float
-    background: Background | None
+    expected: ExpectedAlarms | None
     level_nats: float = odds_of(MINE_LIKE_P)
 
     @property
     def is_short(self) -> bool:
         """Check whether the area searched allows fewer than one false alarm."""
-        return self.background is not None and is_short(self.area_km2, self.asked_per_km2)
+        return self.expected is not None and is_short(self.area_km2, self.asked_per_km2)
 
     def calls(self, contact: Contact) -> bool:
         """Decide whether a contact is called a mine."""
@@ -61,8 +61,8 @@ class OperatingPoint(NamedTuple):
         called = self.calls(contact)
         is_mine = called or contact.p_mine >= MINE_LIKE_P
         density, interval = NAN, (NAN, NAN)
-        if self.background is not None:
-            expected = self.background.false_alarms(odds_of(contact.p_mine))
+        if self.expected is not None:
+            expected = self.expected.reaching(odds_of(contact.p_mine))
             density, interval = expected.per_km2, (expected.low, expected.high)
         return msgspec.structs.replace(
             contact,
@@ -178,14 +178,14 @@ class CallWatch:
         is_dropped = (announced == _CALLED) & (values < level - margin_nats)
         return np.flatnonzero(is_called | is_dropped).tolist()
 
-    def _compare(self, seen: Background, prior: BackgroundPrior) -> None:
+    def _compare(self, seen: ExpectedAlarms, prior: BackgroundPrior) -> None:
         """Report once that far more false alarms are expected than on any sea floor of the training set."""
         usual, spread = expected_background(prior)
         for p_mine in _UNLIKE_P_MINE:
-            at = int(np.searchsorted(LEVELS_NATS, odds_of(p_mine)))
-            if not self._is_unlike and seen.low[at] > usual[at] + _UNLIKE_SIGMAS * spread[at]:
+            at, alarms = int(np.searchsorted(LEVELS_NATS, odds_of(p_mine))), seen.reaching(odds_of(p_mine))
+            if not self._is_unlike and alarms.low > math.exp(usual[at] + _UNLIKE_SIGMAS * spread[at]):
                 self._is_unlike = True
-                self._notices.append(_unlike(p_mine, math.exp(seen.middle[at]), math.exp(usual[at])))
+                self._notices.append(_unlike(p_mine, alarms.per_km2, math.exp(usual[at])))
 
 
 def _unlike(p_mine: float, per_km2: float, usual_per_km2: float) -> Notice:

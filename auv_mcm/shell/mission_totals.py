@@ -13,7 +13,6 @@ from auv_mcm.clearance.area import area_state, over_area
 from auv_mcm.clearance.clearance_export import BANDS
 from auv_mcm.clearance.clearance_map import Clearance
 from auv_mcm.clearance.residual import PRIOR_SHARE, remaining_mines
-from auv_mcm.contacts.background import FalseAlarms
 from auv_mcm.contacts.contact import is_mine_like
 from auv_mcm.contacts.operating_point import OperatingPoint
 from auv_mcm.detect.belief import odds_of, probability
@@ -68,13 +67,13 @@ def point_totals(point: OperatingPoint | None) -> dict[str, Any]:
         "searched_km2": round(point.area_km2, 6),
         "area_too_small": point.is_short,
     }
-    if point.background is not None:
-        expected = point.background.false_alarms(level) if level < math.inf else FalseAlarms(0.0, 0.0, 0.0)
+    if point.expected is not None:
+        expected = point.expected.reaching(level)
         totals["expected_per_km2"] = {
             name: round(value, 3) for name, value in zip(("middle", "low", "high"), expected, strict=True)
         }
         totals["background_per_km2"] = {
-            f"{p:g}": round(point.background.false_alarms(odds_of(p)).per_km2, 3) for p in (0.02, 0.1, 0.2, 0.5, 0.8)
+            f"{p:g}": round(point.expected.reaching(odds_of(p)).per_km2, 3) for p in (0.02, 0.1, 0.2, 0.5, 0.8)
         }
     return {"operating_point": totals}
 
