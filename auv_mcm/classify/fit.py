@@ -49,6 +49,9 @@ _ALTITUDE_SIGMA: Final = 0.06  # of the altitude measured, relative
 _BURIAL_SIGMA: Final = 0.15  # share of radius or height: a buried solid and a smaller one look alike
 _TEMPER: Final = 4.0  # factor by which costs overstate the evidence: highlights are not even, and floors not flat
 _RESOLVED: Final = 0.15  # share of a resolution cell by which edges are uncertain
+# of a size on the floor: without it 0.75 of lengths and 0.81 of widths were within 2 sigma, of 221 mines in 21 missions
+_SIZE_SHARE: Final = 0.12
+_ON_FLOOR: Final = frozenset({"radius_m", "length_m", "base_radius_m", "top_radius_m", "width_m"})
 _TOLERANCE: Final = 0.3  # beyond the usual sizes, relative, at which a size is not plausible at all
 _MIN_HIGHLIGHT: Final = 6.0  # independent samples below which a highlight is not evidence
 WEDGE_M: Final = (1.02, 0.80, 0.385)  # at scale 1
@@ -107,8 +110,9 @@ class ShapeFit(msgspec.Struct, frozen=True, kw_only=True):
     plausibility: 1 for usual sizes of the class, falling to 0 at 30 % beyond them.
     second: the best of those that differ from it by a tenth of the search space or more in some parameter, if any.
     sigma: standard deviations by name, of the shape's fields, row_m and ground_range_m: from the cost's curvature, the
-    resolution, and an altitude that is wrong by 6 %. Empty unless refined. ends: columns in each slice (n_rows) at
-    which the solid's highlight starts and ends and its shadow ends, 0 where it has none.
+    resolution, an altitude that is wrong by 6 %, and sizes on the floor by 12 %. Empty unless refined.
+    ends: columns in each slice (n_rows) at which the solid's highlight starts and ends and its shadow ends, 0 where it
+    has none.
     contrast: mean of highlight and of shadow over the floor's, echoes cut off at three times the floor.
     flags: at_bound (a parameter at the end of what is searched), altitude (solids do fit, but for another altitude),
     buried (by over a tenth of its height), cut_off (its shadow or its rows leave the region), weak_highlight (fewer
@@ -403,7 +407,8 @@ def _optimum(solid: Solid, hypothesis: Array, cost: float, region: Region, image
 def _sigma(entry: _Class, beam: Beam, region: Region, image: ImageRowSums) -> dict[str, float]:
     """Estimate the uncertainty of place and fields.
 
-    It adds what speckle leaves open, doubled for what the model leaves out, and the effects of resolution and altitude.
+    It adds what speckle leaves open, doubled for what the model leaves out, the effects of resolution and altitude, and
+    what sizes on the floor were wrong by on missions with known truth.
     """
     point = entry.box.points(entry.found.unit[:1])[0]
     hypothesis = hypotheses_of(entry.solid, point[np.newaxis])[0]
@@ -429,6 +434,9 @@ def _sigma(entry: _Class, beam: Beam, region: Region, image: ImageRowSums) -> di
     }
     names = ("row_m", "ground_range_m", *FIELDS[entry.solid])
     sigma = {name: math.hypot(math.sqrt(variance[k]), systematic.get(name, along_m)) for k, name in enumerate(names)}
+    for name, size in zip(FIELDS[entry.solid], hypothesis[FIRST_FIELD:].tolist(), strict=False):
+        if name in _ON_FLOOR:
+            sigma[name] = math.hypot(sigma[name], _SIZE_SHARE * size)
     if entry.solid == "truncated_cone":
         del sigma["burial_m"]  # a buried cone is a smaller cone
     return sigma
