@@ -45,6 +45,7 @@ from auv_mcm.contacts.geojson import (
     one_or_multi,
     positions_of,
     rounded,
+    rounded_direction,
     rounded_longitude,
 )
 from auv_mcm.geometry.geodesy import LocalFrame
@@ -119,7 +120,7 @@ def waypoints_geojson(waypoints: Sequence[Waypoint]) -> bytes:
             "order": order,
             "leg": waypoint.leg,
             "kind": waypoint.kind,
-            "heading_deg": rounded(math.degrees(waypoint.heading_rad) % 360.0, PROBABILITY_DIGITS),
+            "heading_deg": _direction(math.degrees(waypoint.heading_rad), PROBABILITY_DIGITS),
             "contact_id": waypoint.contact_id,
             "why": waypoint.why,
         }
@@ -213,7 +214,7 @@ def contact_feature(contact: Contact) -> dict[str, Json]:
         "width_m": rounded(contact.width_m, METRE_DIGITS),
         "height_m": rounded(contact.height_m, METRE_DIGITS),
         "n_views": len(contact.views),
-        "aspects_deg": [rounded(aspect, METRE_DIGITS) for aspect in contact.aspects_deg],
+        "aspects_deg": [_direction(aspect) for aspect in contact.aspects_deg],
         "sigma_m": rounded(sigma_m(contact), METRE_DIGITS),
         "side": view.side if view else None,
         "ground_range_m": rounded(view.ground_range_m, METRE_DIGITS) if view else None,
@@ -225,7 +226,7 @@ def contact_feature(contact: Contact) -> dict[str, Json]:
         "width_sigma_m": rounded(contact.width_sigma_m, METRE_DIGITS),
         "height_sigma_m": rounded(contact.height_sigma_m, METRE_DIGITS),
         "conflict": rounded(contact.conflict, PROBABILITY_DIGITS),
-        "next_look_deg": [rounded(direction, METRE_DIGITS) for direction in contact.next_look_deg],
+        "next_look_deg": [_direction(direction) for direction in contact.next_look_deg],
         "false_alarms_per_km2": rounded(contact.false_alarms_per_km2, METRE_DIGITS),
         "false_alarms_95_per_km2": [rounded(bound, METRE_DIGITS) for bound in contact.false_alarms_95_per_km2],
         "called": contact.called,
@@ -242,7 +243,7 @@ def _view(view: Detection) -> dict[str, Json]:
     return {
         "time": iso_time(view.time_s),
         "side": view.side,
-        "aspect_deg": rounded(view.aspect_deg, METRE_DIGITS),
+        "aspect_deg": _direction(view.aspect_deg),
         "ground_range_m": rounded(view.ground_range_m, METRE_DIGITS),
         "p_mine": rounded(view.p_mine, PROBABILITY_DIGITS),
         "log_ratio": rounded(close.log_ratio, METRE_DIGITS) if close else None,
@@ -268,6 +269,10 @@ def _coverage_feature(patch: CoveragePatch) -> dict[str, Json]:
     return feature(one_or_multi("Polygon", polygons), properties)
 
 
+def _direction(direction_deg: float, digits: int = METRE_DIGITS) -> float | None:
+    return rounded(rounded_direction(direction_deg, digits), digits)
+
+
 def _csv_row(cells: Sequence[Any]) -> str:
     text = io.StringIO()
     csv.writer(text, lineterminator="\r\n").writerow(cells)
@@ -288,7 +293,7 @@ def _csv_cells(contact: Contact) -> list[Any]:
         rounded(contact.width_m, METRE_DIGITS),
         rounded(contact.height_m, METRE_DIGITS),
         len(contact.views),
-        " ".join(f"{aspect:.1f}" for aspect in contact.aspects_deg),
+        " ".join(f"{rounded_direction(aspect, 1):.1f}" for aspect in contact.aspects_deg),
         view.side if view else None,
         rounded(view.ground_range_m, METRE_DIGITS) if view else None,
         rounded(view.score, METRE_DIGITS) if view else None,
@@ -375,7 +380,7 @@ def _kml_table(contact: Contact) -> str:
         ("position error (1 sigma)", f"{sigma_m(contact):.2f} m"),
         ("depth below the surface", f"{depth_m(contact):.1f} m" if math.isfinite(depth_m(contact)) else "not known"),
         ("views", len(contact.views)),
-        ("aspects", ", ".join(f"{aspect:03.0f}°" for aspect in contact.aspects_deg)),
+        ("aspects", ", ".join(f"{rounded_direction(aspect, 0):03.0f}°" for aspect in contact.aspects_deg)),
         ("side and ground range", f"{view.side}, {view.ground_range_m:.1f} m" if view else ""),
         ("reasons", "; ".join(contact.reasons)),
     ]

@@ -75,3 +75,8 @@ def rounded_longitude(longitude_deg: float) -> float | None:
 def rounded(value: float, digits: int) -> float | None:
     """Round a number, never to -0; None for anything not finite."""
     return round(float(value), digits) + 0.0 if math.isfinite(value) else None
+
+
+def rounded_direction(direction_deg: float, digits: int) -> float:
+    """Round a compass direction to 0 degrees or more, below 360; NaN if it is not finite."""
+    return round(float(direction_deg) % 360.0, digits) % 360.0

@@ -104,7 +104,7 @@
     };
     const corners = JSON.parse(chart.dataset.corners);
     const chartWords = (degrees, positive, negative) => {
-      const minutes = Math.abs(degrees) * 60;
+      const minutes = Math.round(Math.abs(degrees) * 60e4) / 1e4;
       return Math.floor(minutes / 60) + '° ' + (minutes % 60).toFixed(4).padStart(7, '0') + '′ ' + (degrees < 0 ? negative : positive);
     };
     const cursor = (event) => {

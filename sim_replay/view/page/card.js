@@ -39,7 +39,7 @@ export function contactCard(handlers) {
         ...row("error", `${metres(details.sigma_m, 1)} (1 σ)`),
         ...row("size found", [["length_m", "length_sigma_m"], ["width_m", "width_sigma_m"], ["height_m", "height_sigma_m"]]
           .map(([size, sigma]) => withError(details[size], details[sigma])).join(" × ")),
-        ...row("seen", `${text(details.side)} ${metres(details.ground_range_m)} · looking towards ${(details.aspects_deg || []).map((aspect) => `${Math.round(aspect)}°`).join(", ")}`),
+        ...row("seen", `${text(details.side)} ${metres(details.ground_range_m)} · looking towards ${(details.aspects_deg || []).map((aspect) => `${Math.round(aspect) % 360}°`).join(", ")}`),
         ...row("called", details.called === null || details.called === undefined ? "not decided" : details.called ? "yes" : "no"),
         ...row("false alarms", details.false_alarms_per_km2 === null || details.false_alarms_per_km2 === undefined ? "?"
           : `${Math.round(details.false_alarms_per_km2)} per km² expected to look as mine-like${low.length === 2 && low[0] !== null ? ` (${Math.round(low[0])} to ${Math.round(low[1])})` : ""}`),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import html
 import io
 import json
 import math
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 from auv_mcm.classify.beliefs import FRAME, bounded_by, singleton_belief
 from auv_mcm.contacts.antimeridian import split_line, split_ring
 from auv_mcm.contacts.contact import error_ellipse, error_ellipse_ring_m
-from auv_mcm.contacts.export import CSV_COLUMNS, contacts_geojson, iso_time, waypoints_geojson
+from auv_mcm.contacts.export import CSV_COLUMNS, contact_feature, contacts_geojson, iso_time, waypoints_geojson
 from auv_mcm.records import NAN, Contact, CoveragePatch, Detection, Waypoint
 from auv_mcm.snippet import pack_snippet
 from tests.auv_mcm.classify import drawn_looks
@@ -245,6 +246,19 @@ def test_error_ellipse_has_the_covariance_it_came_from(first: float, second: flo
 def test_major_axis_direction_is_a_compass_direction() -> None:
     assert error_ellipse(contact(covariance_m2=np.array([[4.0, 0.0], [0.0, 1.0]]))) == pytest.approx((2.0, 1.0, 90.0))
     assert error_ellipse(contact(covariance_m2=np.array([[1.0, 0.9], [0.9, 1.0]])))[2] == pytest.approx(45.0)
+
+
+@pytest.mark.parametrize("north_deg", [0.0, 359.99996, 360.0, -1e-9])
+def test_north_is_0_degrees_in_every_file_and_never_360(north_deg: float) -> None:
+    seen = contact(
+        aspects_deg=(north_deg,), next_look_deg=(north_deg,), views=(detection(aspect_deg=north_deg, score=20.0),)
+    )
+    properties: Any = contact_feature(seen)["properties"]
+    assert properties["aspects_deg"] == properties["next_look_deg"] == [properties["views"][0]["aspect_deg"]] == [0.0]
+    assert next(csv.DictReader(io.StringIO(contacts_csv([seen]))))["aspects_deg"] == "0.0"
+    assert "<td>000°</td>" in html.unescape(contacts_kml([seen]))
+    way = [waypoint_of("leg_entry", 0.5, 9.0, 1, heading_rad=math.radians(north_deg))]
+    assert strict(waypoints_geojson(way))["features"][0]["properties"]["heading_deg"] == 0.0
 
 
 def test_csv_reads_back_and_disarms_formulas() -> None:
