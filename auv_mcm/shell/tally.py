@@ -12,6 +12,8 @@ from auv_mcm.records import NAN, NavSample, Notice, Ping, SourceEvent
 # surveyed.
 MAX_STEP_M: Final = 100.0
 MAX_STEP_S: Final = 60.0
+_STRIDE_M: Final = 2.0
+"""Distance and course are taken over as much, as by `auv-mcm info`: scatter and steps of fixes are no way sailed."""
 
 
 class Tally:
@@ -24,12 +26,13 @@ class Tally:
         self.first_s = NAN
         self.last_s = NAN
         self.duration_s = 0.0
-        self.distance_m = 0.0
+        self._strides_m = 0.0
         self.latitude_deg = NAN
         self.longitude_deg = NAN
         self.heading_rad = NAN
         self._course_rad = NAN
         self._fix: Fix | None = None
+        self._stride_from: Fix | None = None
         self._look: tuple[float, ...] = ()  # squint and sides of the ping before
         self._is_seen_again = False  # by a further sub-aperture, or the other side's log, of the same pass
 
@@ -37,6 +40,13 @@ class Tally:
     def direction_rad(self) -> float:
         """Give the heading, or the course over ground where no heading was ever measured; NaN if neither is known."""
         return self.heading_rad if math.isfinite(self.heading_rad) else self._course_rad
+
+    @property
+    def distance_m(self) -> float:
+        """Return the distance sailed, m: over whole strides, and to the last fix."""
+        if self._fix is None or self._stride_from is None:
+            return 0.0
+        return self._strides_m + chord_m(self._stride_from, self._fix)
 
     def add(self, event: SourceEvent) -> None:
         match event:
@@ -76,14 +86,20 @@ class Tally:
         ):
             return
         last, fix = self._fix, fix_at(sample.time_s, sample.latitude_deg, sample.longitude_deg)
-        if last is not None:
-            step_m = chord_m(last, fix)
-            is_onward = 0.0 <= fix.time_s - last.time_s <= MAX_STEP_S and not self._is_seen_again
-            if 0.0 < step_m <= MAX_STEP_M and is_onward:
-                self.distance_m += step_m
-                self._course_rad = course_rad(last, fix)
+        if last is None or self._stride_from is None:
+            self._stride_from = fix
+        elif chord_m(last, fix) > MAX_STEP_M or not self._is_onward(last, fix):
+            self._strides_m, self._stride_from = self.distance_m, fix
+        elif stride_m := chord_m(self._stride_from, fix):
+            if stride_m >= _STRIDE_M or math.isnan(self._course_rad):
+                self._course_rad = course_rad(self._stride_from, fix)
+            if stride_m >= _STRIDE_M:
+                self._strides_m, self._stride_from = self._strides_m + stride_m, fix
         self._fix = fix
         self.latitude_deg, self.longitude_deg = sample.latitude_deg, sample.longitude_deg
+
+    def _is_onward(self, last: Fix, fix: Fix) -> bool:
+        return 0.0 <= fix.time_s - last.time_s <= MAX_STEP_S and not self._is_seen_again
 
     def state(self) -> dict[str, Any]:
         """Return what `restore` goes on from."""
