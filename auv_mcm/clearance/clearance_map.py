@@ -68,9 +68,10 @@ class Clearance(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
     Element [0, 0] is cell (first_east, first_north).
 
-    exponent float64: miss exponent, 0 where nothing was seen. looks uint8: passes that saw something of the cell.
-    towards uint64: the directions they looked in, as `look_bit` has them. seabed uint8, ripple_rad,
-    wavelength_m float32: as the surest look has it, weighted by how much of the cell it saw. altitude_m float32: mean
+    exponent float64: miss exponent, 0 where nothing was seen. share float32: how much of the cell was seen, 0 to 1,
+    overlap once. looks uint8: passes that saw something of the cell. towards uint64: the directions they looked in, as
+    `look_bit` has them. seabed uint8, ripple_rad, wavelength_m float32: as the surest look has it, weighted by how much
+    of the cell it saw. altitude_m float32: mean
     over looks. Where nothing was seen these are `unknown` and NaN. n_elsewhere: cells seen too far from the others to
     be laid out in one box with them.
     """
@@ -81,6 +82,7 @@ class Clearance(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     first_east: int
     first_north: int
     exponent: Array
+    share: NDArray[np.float32]
     looks: NDArray[np.uint8]
     towards: NDArray[np.uint64]
     seabed: NDArray[np.uint8]
@@ -114,6 +116,16 @@ class _Look(NamedTuple):
 
     p: Array
     cells: SurveyedCells
+
+
+class _Seen(NamedTuple):
+    """Hold the cells seen by all passes, (n,) each, as Clearance has them."""
+
+    cell: NDArray[np.int64]
+    exponent: Array
+    share: Array
+    n_looks: NDArray[np.intp]
+    towards: NDArray[np.uint64]
 
 
 class _Pass(NamedTuple):
@@ -172,6 +184,7 @@ class ClearanceMap:
         p = np.concatenate([look.p for look in self._looks])
         order = np.lexsort((number, key))  # stable: of one cell and pass in order of time
         key, number = key[order], number[order]
+        share = np.minimum(np.bincount(np.unique(key, return_inverse=True)[1], fraction[order]), 1.0)
         starts = np.flatnonzero(np.append(True, (np.diff(key) != 0) | (np.diff(number) != 0)))
         # No more than its best part, seen whole, would give: so that a worse part never takes anything away.
         p_seen = np.minimum(np.add.reduceat((fraction * p)[order], starts), np.maximum.reduceat(p[order], starts))
@@ -180,7 +193,7 @@ class ClearanceMap:
         cell, first = np.unique(key, return_index=True)
         n_looks = np.diff(np.append(first, len(key)))
         exponent = self._added_up(-np.log1p(-p_seen), look, first, n_looks)
-        return self._laid_out(cell, exponent, n_looks, np.bitwise_or.reduceat(look_bit(look), first))
+        return self._laid_out(_Seen(cell, exponent, share, n_looks, np.bitwise_or.reduceat(look_bit(look), first)))
 
     def _pass_of(self, patch: CoveragePatch) -> int:
         assert patch.cells is not None
@@ -240,23 +253,21 @@ class ClearanceMap:
         corner = np.floor(corner_m / cell_m).astype(np.int64)
         return corner.min(axis=0), corner.max(axis=0)
 
-    def _laid_out(
-        self, cell: NDArray[np.int64], exponent: Array, n_looks: NDArray[np.intp], towards: NDArray[np.uint64]
-    ) -> Clearance:
-        east = (cell + _KEY // 2) // _KEY
-        north = cell - east * _KEY
+    def _laid_out(self, seen: _Seen) -> Clearance:
+        east = (seen.cell + _KEY // 2) // _KEY
+        north = seen.cell - east * _KEY
         kept = self._that_fit(east, north)
-        n_elsewhere = len(cell) - len(kept)
-        east, north, exponent, n_looks, towards = east[kept], north[kept], exponent[kept], n_looks[kept], towards[kept]
+        n_elsewhere = len(seen.cell) - len(kept)
+        east, north = east[kept], north[kept]
         first_east, first_north = int(east.min()), int(north.min())
         shape = int(np.ptp(north)) + 1, int(np.ptp(east)) + 1
         at = (north - first_north, east - first_east)
-        dense = np.zeros(shape)
-        dense[at] = exponent
+        dense, share = np.zeros(shape), np.zeros(shape, dtype=np.float32)
+        dense[at], share[at] = seen.exponent[kept], seen.share[kept]
         looks = np.zeros(shape, dtype=np.uint8)
-        looks[at] = np.minimum(n_looks, 255)
+        looks[at] = np.minimum(seen.n_looks[kept], 255)
         looked_towards = np.zeros(shape, dtype=np.uint64)
-        looked_towards[at] = towards
+        looked_towards[at] = seen.towards[kept]
         # The surest view decides what kind of sea floor it is; of equals the first.
         confidence = np.full(shape, -1.0, dtype=np.float32)
         seabed = np.full(shape, SEABED_TYPES.index("unknown"), dtype=np.uint8)
@@ -288,6 +299,7 @@ class ClearanceMap:
             first_east=first_east,
             first_north=first_north,
             exponent=dense,
+            share=share,
             looks=looks,
             towards=looked_towards,
             seabed=seabed,
@@ -321,6 +333,7 @@ def unsearched(origin_latitude_deg: float, origin_longitude_deg: float, cell_m: 
         first_east=0,
         first_north=0,
         exponent=np.zeros((0, 0)),
+        share=np.zeros((0, 0), dtype=np.float32),
         looks=np.zeros((0, 0), dtype=np.uint8),
         towards=np.zeros((0, 0), dtype=np.uint64),
         seabed=np.zeros((0, 0), dtype=np.uint8),
@@ -347,7 +360,8 @@ def clearance_over(clearance: Clearance, first_east: int, first_north: int, shap
         ]
         return box
 
-    outside = {"exponent": 0.0, "looks": 0.0, "towards": 0.0, "seabed": float(SEABED_TYPES.index("unknown"))}
+    outside = dict.fromkeys(("exponent", "share", "looks", "towards"), 0.0)
+    outside |= {"seabed": float(SEABED_TYPES.index("unknown"))}
     outside |= {"ripple_rad": NAN, "wavelength_m": NAN, "altitude_m": NAN}
     layers = {name: laid(getattr(clearance, name), value) for name, value in outside.items()}
     return msgspec.structs.replace(clearance, first_east=first_east, first_north=first_north, **layers)

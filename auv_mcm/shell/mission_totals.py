@@ -81,27 +81,30 @@ def point_totals(point: OperatingPoint | None) -> dict[str, Any]:
 def search_totals(clearance: Clearance | None, contacts: Iterable[Contact]) -> dict[str, Any]:
     """Sum up the search over all that was seen; empty if there is none.
 
-    share_missed: of mines that lie there, by the tables, whatever their density. mines_found: the sum of p_mine of
-    contacts called mine-like. mines_left: see `remaining_mines`.
+    Of a cell counts what was seen of it. share_missed: of mines that lie there, by the tables, whatever their density.
+    mines_found: the sum of p_mine of contacts called mine-like. mines_left: see `remaining_mines`.
     """
     if clearance is None:
         return {}
     seen = clearance.seen
-    p = clearance.p_detected[seen]
+    p, kind = clearance.p_detected[seen], clearance.seabed[seen]
     cell_m2 = clearance.cell_m**2
+    seen_km2 = clearance.share[seen].astype(np.float64) * cell_m2 * 1e-6
+    p_mean = float(p.sum()) * cell_m2 * 1e-6 / (float(seen_km2.sum()) or 1.0)
     judged = [(contact.p_mine, is_mine_like(contact)) for contact in contacts]
     p_mine = np.array([p_mine for p_mine, _ in judged], dtype=np.float64)
     mine_like = np.array([is_one for _, is_one in judged], dtype=np.bool_)
     left = remaining_mines(p_mine, mine_like, p)
-    kinds = {kind: int(np.count_nonzero(clearance.seabed[seen] == index)) for index, kind in enumerate(SEABED_TYPES)}
     return {
         "searched": {
-            "km2": round(p.size * cell_m2 * 1e-6, 6),
-            "p_detected_mean": round(float(p.mean()), 4),
-            "share_missed": round(1.0 - float(p.mean()), 4),
+            "km2": round(float(seen_km2.sum()), 6),
+            "p_detected_mean": round(p_mean, 4),
+            "share_missed": round(1.0 - p_mean, 4),
             "km2_elsewhere": round(clearance.n_elsewhere * cell_m2 * 1e-6, 6),
-            "km2_at_p": {f"{low:g}": round(int(np.count_nonzero(p >= low)) * cell_m2 * 1e-6, 6) for low in BANDS[1:-1]},
-            "seabed_km2": {kind: round(n_cells * cell_m2 * 1e-6, 6) for kind, n_cells in kinds.items()},
+            "km2_at_p": {f"{low:g}": round(float(seen_km2[p >= low].sum()), 6) for low in BANDS[1:-1]},
+            "seabed_km2": {
+                name: round(float(seen_km2[kind == index].sum()), 6) for index, name in enumerate(SEABED_TYPES)
+            },
             "mines_found": round(math.fsum(p_mine[mine_like]), 4),
             "mines_left": {
                 "expected": round(left.expected, 4),

@@ -27,6 +27,7 @@ def clearance(p: NDArray[np.float64], looks: NDArray[np.uint8] | None = None, lo
         first_east=-2,
         first_north=3,
         exponent=-np.log1p(-p),
+        share=np.ones(shape, dtype=np.float32),
         looks=np.ones(shape, dtype=np.uint8) if looks is None else looks,
         towards=np.zeros(shape, dtype=np.uint64),
         seabed=np.full(shape, SEABED_TYPES.index("flat"), dtype=np.uint8),

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from auv_mcm.clearance.area import area_state, middles_m, over_area
 from auv_mcm.clearance.clearance_map import HIGHEST_P, Clearance, ClearanceMap, look_bit
+from auv_mcm.contacts.seen_area import SeenArea
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import SEABED_TYPES, CoveragePatch, SeabedType, Side
 from tests.make.records import cells_of, patch_of
@@ -165,6 +166,16 @@ def test_more_looks_never_lower_clearance(seed: int) -> None:
             (int(c) + now.first_east, int(r) + now.first_north): float(now.p_detected[r, c])
             for r, c in zip(rows, columns, strict=True)
         }
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_map_holds_the_area_that_was_seen_overlap_once_and_never_more_found_than_seen(seed: int) -> None:
+    patches, area = [patch(each) for each in drawn(seed)], SeenArea()
+    for each in patches:
+        area.add(each)
+    reported = snapshot(*patches)
+    assert reported.share.sum() * reported.cell_m**2 * 1e-6 == pytest.approx(area.km2, rel=1e-5)
+    assert (reported.p_detected <= reported.share + 1e-6).all()
 
 
 def test_one_sure_look_clears_no_further_than_looks_can() -> None:

@@ -27,6 +27,17 @@ def test_the_search_is_summed_up_over_what_was_seen() -> None:
     assert searched["mines_left"]["among_contacts"] == 0
 
 
+def test_of_a_cell_at_the_edge_only_what_was_seen_was_searched() -> None:
+    """0.0037 km² were said to be searched where 0.0023 were covered (scotsman-iver2)."""
+    edge = structs.replace(searched_half(), share=np.array([[0.625, 0.9375], [1.0, 0.0]], dtype=np.float32))
+    searched = search_totals(edge, [])["searched"]
+    assert searched["km2"] == pytest.approx((0.625 + 0.9375 + 1.0) * 16e-6, abs=1e-6)
+    assert searched["p_detected_mean"] == pytest.approx((0.5 + 0.9001 + 0.96) / 2.5625, abs=1e-4)
+    assert searched["share_missed"] == pytest.approx(1.0 - searched["p_detected_mean"], abs=2e-4)
+    assert searched["km2_at_p"]["0.9"] == pytest.approx(1.9375 * 16e-6, abs=1e-6)
+    assert sum(searched["seabed_km2"].values()) == pytest.approx(searched["km2"], abs=2e-6)
+
+
 def test_sub_apertures_of_one_pass_cover_its_floor_once() -> None:
     parts = [
         structs.replace(patch(None, covered_m2=1000.0), start_s=start_s, stop_s=start_s + 10.0, squint_rad=squint_rad)
@@ -75,6 +86,7 @@ def searched_half() -> Clearance:
         first_east=0,
         first_north=0,
         exponent=-np.log1p(-np.array([[0.5, 0.9001], [0.96, 0.0]])),
+        share=np.array([[1.0, 1.0], [1.0, 0.0]], dtype=np.float32),
         looks=np.array([[1, 1], [2, 0]], dtype=np.uint8),
         towards=np.array([[1, 1], [3, 0]], dtype=np.uint64),
         seabed=np.array([[0, 1], [2, 4]], dtype=np.uint8),

@@ -41,6 +41,7 @@ def searched(p: float) -> Clearance:
         first_east=0,
         first_north=0,
         exponent=np.full((10, 10), -np.log1p(-p)),
+        share=np.ones((10, 10), dtype=np.float32),
         looks=np.ones((10, 10), dtype=np.uint8),
         towards=np.ones((10, 10), dtype=np.uint64),
         seabed=np.zeros((10, 10), dtype=np.uint8),

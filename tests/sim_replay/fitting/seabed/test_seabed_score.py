@@ -36,6 +36,7 @@ def mapped(
         first_east=first_east,
         first_north=first_north,
         exponent=np.ones(kind.shape),
+        share=np.ones(kind.shape, dtype=np.float32),
         looks=looks,
         towards=np.ones(kind.shape, dtype=np.uint64),
         seabed=kind,
