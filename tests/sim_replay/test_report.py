@@ -309,6 +309,11 @@ def test_pictures_in_the_page_are_pictures() -> None:
         assert decoded(base64.b64decode(source.partition(",")[2])).ndim == 3
 
 
+def test_the_page_says_that_the_area_covered_counts_overlap_twice() -> None:
+    """It stood unexplained above a smaller area seen: 20 885 m² covered of 15 609 m²."""
+    assert "overlap twice" in Page(full_page()).text
+
+
 def test_the_page_says_where_the_number_of_mines_left_comes_from() -> None:
     """Six mines left stood unexplained beside six of six found."""
     searched = {
