@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from importlib import resources
-from typing import Annotated, Final, NamedTuple, TypeAlias
+from typing import Annotated, Final, TypeAlias
 
 import msgspec
 import numpy as np
