@@ -260,9 +260,8 @@ class NavMerge:
     def _fresh(self, quantity: Quantity) -> Any:
         """Return the serving unit's last value, if it is still valid."""
         serving = self._fallbacks[quantity].serving
-        if serving is None or not serving.is_healthy(self._now_s):
-            return None
-        given = self._channels[quantity, serving.source].given
+        is_fresh = serving is not None and serving.is_healthy(self._now_s)
+        given = self._channels[quantity, serving.source].given if serving is not None and is_fresh else None
         return None if given is None else given.value
 
     def _arm(self, unit: NavUnitSettings) -> tuple[float, float, float] | None:
@@ -295,8 +294,10 @@ class NavMerge:
         """Accept the position, unless a satellite receiver cannot have it or the vehicle cannot have got there."""
         source = channel.health.source
         if channel.watch is not None:
-            travelled = self._reckoner.travelled(time_s)
-            channel.doubt = channel.watch.doubt(time_s, antenna, position, self._fresh("depth"), travelled)
+            travelled, depth_m = self._reckoner.travelled(time_s), self._fresh("depth")
+            channel.doubt = channel.watch.doubt(time_s, antenna, position, depth_m, travelled)
+            if channel.doubt == "not_the_way_made" and depth_m is not None:  # at the surface it may be right
+                self._reckoner.contradict(time_s, position)
             if channel.doubt is not None:
                 self.counters[f"nav.gnss_{channel.doubt}.{source}"] += 1
                 return None
@@ -310,10 +311,9 @@ class NavMerge:
         return position
 
     def _is_for_perception(self, channel: Channel, time_s: float, position: Position) -> bool:
-        """Check whether perception has to see a position that was not believed, as it sees it in a recorded log.
+        """Check whether perception has to see a position that was not believed, to find that two places alternate.
 
-        Only with it can perception find that two places alternate, and that neither is known to be right. What it would
-        take for a motion stays out, and so does what a satellite receiver under water cannot have.
+        What it would take for a motion stays out, and so does what a satellite receiver under water cannot have.
         """
         serving, last = self._fallbacks["position"].serving, channel.agreement.last
         if channel.doubt is not None or last is None or serving not in (None, channel.health):

@@ -6,9 +6,10 @@ import math
 from typing import Final, NamedTuple
 
 from auv_mcm.records import NAN
-from drivers.navigation.corrections import HeadingReading, Position, SpeedReading, moved
+from drivers.navigation.corrections import HeadingReading, Position, SpeedReading, moved, offset_m
 
 MAX_HOLD_S: Final = 1.5  # a velocity is taken to go on for this long, no longer
+_CONTRADICTED_S: Final = 20.0  # s for which a contradiction counts: as long as fixes are compared with the way made
 
 
 class Travelled(NamedTuple):
@@ -47,6 +48,7 @@ class Reckoner:
         self._leg = 0
         self._east_m = self._north_m = self._distance_m = 0.0
         self._anchor: _Anchor | None = None
+        self._contradiction: tuple[float, float] = (-math.inf, 0.0)  # when, and by how many metres
 
     def travelled(self, time_s: float) -> Travelled:
         """Return how far the vehicle went until a time near the newest; on no leg where nothing says how fast it is."""
@@ -69,6 +71,12 @@ class Reckoner:
     def fix(self, time_s: float, position: Position) -> None:
         """Start from a measured position."""
         self._anchor = _Anchor(time_s, position, self.travelled(time_s), self._distance_m)
+
+    def contradict(self, time_s: float, position: Position) -> None:
+        """Note a position that is not believed, but may be right: the error of reckoning is that large, perhaps."""
+        reckoned = self.position()
+        if reckoned is not None:
+            self._contradiction = time_s, math.hypot(*offset_m(reckoned[1][:2], position[:2]))
 
     def way_m(self) -> float:
         """Return the way made since the last measured position."""
@@ -97,9 +105,10 @@ class Reckoner:
         )
         across_m = self._heading[1].sigma_rad * (self._distance_m - anchor.distance_m)
         along_m = self._speed[1].sigma_mps * max(self._time_s - anchor.time_s, 0.0)
-        return self._time_s, Position(
-            latitude_deg, longitude_deg, math.sqrt(place.sigma_m**2 + across_m**2 + along_m**2), is_stated=True
-        )
+        sigma_m = math.sqrt(place.sigma_m**2 + across_m**2 + along_m**2)
+        if self._time_s - self._contradiction[0] <= _CONTRADICTED_S:
+            sigma_m = max(sigma_m, self._contradiction[1])
+        return self._time_s, Position(latitude_deg, longitude_deg, sigma_m, is_stated=True)
 
     def _go_to(self, time_s: float) -> None:
         """Advance by the mean of the last two velocities. Late messages change the velocity, not the distance run."""

@@ -135,6 +135,25 @@ def test_a_speed_that_was_never_filled_casts_no_doubt_on_a_receiver() -> None:
     assert notices == []
 
 
+@pytest.mark.parametrize("off_rad", [math.pi, 0.8])
+def test_reckoning_that_a_receiver_at_the_surface_contradicts_has_their_distance_for_its_sigma(off_rad: float) -> None:
+    """A compass that is wrong leads away from the track: the receiver is doubted, and may be right."""
+    poses = survey(150, circle=False)
+    gps = [fix("gps", t + 0.05, **place(east, north)) for t, east, north, _ in poses[::10]]
+    way = [
+        structs.replace(one, heading_rad=(one.heading_rad + off_rad) % math.tau, depth_m=0.2)
+        for one in dvl_and_compass(150, circle=False)
+    ]
+    merged = merge(gps=GPS, dvl=DVL)
+    samples, _ = run(merged, gps + way)
+    off_m = [math.hypot(east, north - 1.5 * t) for t, east, north in track(samples)]  # the survey goes north
+    sigmas_m = [sample.position_sigma_m for sample in samples if not math.isnan(sample.latitude_deg)]
+    assert merged.counters["nav.reckoned"] > 500
+    assert max(off_m) > 60.0
+    for off, sigma_m in zip(off_m, sigmas_m, strict=True):
+        assert off < 3.0 * (1.0 if math.isnan(sigma_m) else sigma_m) + 3.0
+
+
 def test_fixes_that_were_doubted_cast_no_doubt_on_good_ones() -> None:
     gps = [
         fix("gps", t + 0.05, **place(east + 40.0 * (30.0 <= t < 34.0), north))
