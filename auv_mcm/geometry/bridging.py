@@ -150,13 +150,18 @@ class Dated(NamedTuple):
         self._carry_on(times, rows, left_s, into)
         usable = (right_s - left_s <= MAX_HOLE_S + CLOCK_S) & (right_s - times[rows] < right[:, 5])
         steady = self._is_steady(left_s, right_s)
-        made, until, before = (self.way.at(when).values for when in (times[rows], right_s, left_s))
+        made, until, before = map(self._made, (times[rows], right_s, left_s))
         fraction = (times[rows] - left_s) / (right_s - left_s)
         placed, placed_sigma_m, known = bridge(Hole(left[:, :3], right[:, :3], fraction, made, until, before, steady))
         chosen = known & usable
         place[rows[chosen]], sigma_m[rows[chosen]] = placed[chosen], placed_sigma_m[chosen]
         bridged[rows[chosen]] = True
         return Bridged(place, sigma_m, bridged, int(np.count_nonzero(usable & ~known)), float(np.max(right_s - left_s)))
+
+    def _made(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Give the way made until instants, (n, 4), NaN where it is not known."""
+        made = self.way.at(times)
+        return np.where(made.fresh[:, np.newaxis], made.values, math.nan)
 
     def _is_steady(self, left_s: NDArray[np.float64], right_s: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Check whether a heading or course is known that hardly changes from one instant to another, (n,)."""
@@ -178,10 +183,9 @@ class Dated(NamedTuple):
         if not rows.size:
             return
         left = self.position.at(left_s).values[:, :3]
-        made, before = self.way.at(times[rows]), self.way.at(left_s).values
+        made, before = map(self._made, (times[rows], left_s))
         placed, placed_sigma_m, known = bridge(
-            Hole(left, left, np.zeros(rows.size), made.values, before, before, np.zeros(rows.size, dtype=np.bool_))
+            Hole(left, left, np.zeros(rows.size), made, before, before, np.zeros(rows.size, dtype=np.bool_))
         )
-        known &= made.fresh
         into.place[rows[known]], into.sigma_m[rows[known]] = placed[known], placed_sigma_m[known]
         into.bridged[rows[known]] = True
