@@ -40,7 +40,7 @@ def chord_m(a: Fix, b: Fix) -> float:
 
 
 def is_corrected(a: Fix, b: Fix) -> bool:
-    """Check whether b, known twice as well or better, says where a should have been: there is no motion from a to b."""
+    """Check whether b, known twice as well or better, corrects a: what lies between them is not motion."""
     return 2.0 * b.sigma_m < a.sigma_m
 
 

@@ -110,7 +110,7 @@ class HeldPositionCheck:
     """Find positions that a recorder repeats until the next fix, while the vehicle goes on.
 
     Coarse steps of latitude and longitude repeat as well, but one changes without the other: those are kept, since the
-    first of equal positions is no more exact than the others.
+    first of equal positions is as rough as the others.
     """
 
     def __init__(self) -> None:

@@ -16,7 +16,7 @@ from typing import Any, Final, NamedTuple
 from drivers.sonar.ping_messages import PingMessage
 
 COUNTER_MS: Final = 2**32  # ms after which a 32-bit counter starts over
-RESTART_MS: Final = 1000  # a counter that goes back by more was started anew; heads send within that of each other
+RESTART_MS: Final = 1000  # a counter that goes back by more has restarted; heads send within that of each other
 _STRETCH: Final = 128  # profiles by which the heads are compared: three batches of 20 of each (chosen)
 _MAX_HELD: Final = 64  # profiles that wait for the other head's (chosen)
 _MIN_PAIRS: Final = 8  # by which heads are compared (chosen)
@@ -26,7 +26,7 @@ _NEIGHBOUR: Final = 2.0  # profiles from one side to the other on average, where
 _EQUAL: Final = 0.4  # of half an interval, by which equal numbers may be farther apart in time than others (chosen)
 _AGREE: Final = 1.5  # of half an interval, within which clocks agree (chosen)
 _SWAPPED: Final = 2  # pings by which a head's own order may be wrong (chosen)
-_MAX_BAD: Final = 32  # transmissions in a row that are one-sided or apart, after which heads are compared anew (chosen)
+_MAX_BAD: Final = 32  # transmissions in a row that are one-sided or apart, before heads are compared again (chosen)
 
 
 class Offsets(NamedTuple):
@@ -66,7 +66,7 @@ def signed_ms(difference_ms: int) -> int:
 class HeadOrder:
     """Order profiles. Holds back a stretch of 128 where heads are compared, 64 after that.
 
-    Heads are compared anew where one starts anew or their pings no longer agree. Where they cannot be, profiles keep
+    Heads are compared again where one restarts or their pings no longer agree. Where they cannot be, profiles keep
     the order in which they are stored.
     """
 
@@ -88,7 +88,7 @@ class HeadOrder:
         if head not in self._heads:
             self._heads.append(head)
         is_other = self._offsets is not None and head not in self._offsets.heads
-        if is_other or self._n_bad >= _MAX_BAD or _starts_anew(self._last.get(head), profile):
+        if is_other or self._n_bad >= _MAX_BAD or _restarts(self._last.get(head), profile):
             ready = self.finish()
         self._last[head] = profile
         if self._offsets is not None:
@@ -97,7 +97,7 @@ class HeadOrder:
         return ready + (self._compared() if len(self._stretch) >= _STRETCH else [])
 
     def finish(self) -> list[Profile]:
-        """Return what is held; heads are compared anew after it."""
+        """Return what is held; heads are compared again after it."""
         ready = self._compared()
         ready += [profile for transmission in sorted(self._held) for profile in self._held[transmission]]
         self._clear()
@@ -139,7 +139,7 @@ class HeadOrder:
         return is_past or sum(map(len, self._held.values())) > _MAX_HELD
 
 
-def _starts_anew(last: Profile | None, profile: Profile) -> bool:
+def _restarts(last: Profile | None, profile: Profile) -> bool:
     if last is None:
         return False
     pings, ms = profile.number - last.number, signed_ms(profile.counter_ms - last.counter_ms)

@@ -35,7 +35,7 @@ Direction = Annotated[float, Meta(ge=-360.0, le=720.0)]
 Decibel = Annotated[float, Meta(ge=-100.0, le=100.0)]
 Length = Annotated[float, Meta(ge=0.0, le=200.0)]
 SizeRange = tuple[Length, Length]
-InPlane = Annotated[float, Meta(ge=-50_000.0, le=50_000.0)]  # m: farther out the plane is no map of the sea floor
+InPlane = Annotated[float, Meta(ge=-50_000.0, le=50_000.0)]  # m: farther out the plane departs from the sea floor
 
 
 class _Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

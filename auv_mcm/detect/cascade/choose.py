@@ -44,7 +44,8 @@ def fitting(model: CascadeModel | None, config: Config) -> tuple[CascadeModel | 
         )
         return None, Notice(code="detect.model_does_not_fit", text=text, place=config.detect.model)
     text = f"the detector is a cascade trained on {model.trained_on}"
-    if config.detect.model != SHIPPED and config.confirm.enabled and config.confirm.odds == SHIPPED:
+    has_shipped_odds = config.confirm.enabled and config.confirm.odds == SHIPPED
+    if config.detect.model != SHIPPED and has_shipped_odds and model != shipped_model():
         text += (
             ", but confirm.odds weighs scores of the one that ships: p_mine and calls may be wrong. Fit odds, and the "
             "gate, with 'auv-mcm calibrate', or set detect.model to shipped"

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from scipy.stats import gamma, norm
 
 from auv_mcm.classify.beliefs import MINE_LIKE_P
-from auv_mcm.contacts.background import shipped_background
+from auv_mcm.contacts.background import LOWEST_NATS, shipped_background
 from auv_mcm.contacts.contact import call_words
 from auv_mcm.contacts.expected_alarms import expected_alarms, poisson_end
 from auv_mcm.contacts.ledger import contact_from_views
@@ -141,6 +141,17 @@ def test_ends_of_poisson_counts_are_the_quantiles_of_gamma(expected: list[float]
     exact = gamma.ppf(norm.cdf(sigmas), np.maximum(shape, 1e-9))
     np.testing.assert_allclose(poisson_end(expected, sigmas), exact, rtol=0.03, atol=0.06)
     assert (np.diff(poisson_end(np.sort(expected), sigmas)) >= 0.0).all()
+
+
+@given(st.lists(st.floats(-9.0, 12.0), max_size=60), st.sampled_from([0.0, 0.001, 0.1, 20.0]))
+def test_the_more_mine_like_the_fewer_false_alarms_are_expected(log_odds: list[float], area_km2: float) -> None:
+    levels = (-9.0, LOWEST_NATS, -1.0, 0.1, 3.0, 9.0, 13.0)
+    found = np.array([expected_alarms(log_odds, area_km2).reaching(level) for level in levels])
+    assert np.isfinite(found).all()
+    assert (np.diff(found, axis=0) <= 1e-9).all()
+    assert (found[:, 1] <= found[:, 0]).all()
+    assert (found[:, 0] <= found[:, 2]).all()
+    assert found[-1, 0] == 0.0
 
 
 def test_what_is_announced_depends_on_nothing_that_came_later() -> None:

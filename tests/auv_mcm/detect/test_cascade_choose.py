@@ -8,7 +8,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from auv_mcm.detect.cascade.choose import configured_model, fitting
+from auv_mcm.detect.cascade.choose import configured_model, fitting, shipped_model
 from auv_mcm.detect.cascade.model import encode_model
 from auv_mcm.errors import BadInputError
 from auv_mcm.settings.config import Config, ConfirmConfig, DetectConfig, WaterfallConfig
@@ -72,3 +72,4 @@ def test_a_model_of_ones_own_with_odds_of_the_shipped_one_asks_to_fit_odds(odds:
     assert model is MODEL
     assert notice.code == code
     assert notice.for_the_record == (odds != "shipped")
+    assert fitting(shipped_model(), with_model("a/copy.json"))[1].code == "detect.cascade"

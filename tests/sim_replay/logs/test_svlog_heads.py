@@ -24,7 +24,7 @@ UTC_S: Final = 1_700_000_000.0
 PERIOD_MS: Final = 80
 POWERED_UP_MS: Final = 2_000  # before the first transmission
 ECHO_S: Final = 0.04  # of 30 m
-OFF: Final = 40  # transmissions that a head misses while it starts anew
+OFF: Final = 40  # transmissions that a head misses while it restarts
 SIDES: Final = "PS"
 
 
@@ -35,7 +35,7 @@ class Log(NamedTuple):
     ms_ahead: int = 0  # of starboard's clock
     batch: int = 1
     lost: frozenset[tuple[str, int]] = frozenset()
-    restarts: str = ""  # the heads that start anew half way
+    restarts: str = ""  # the heads that restart half way
     n: int = 400
     stalls: bool = False
 
@@ -186,7 +186,7 @@ def test_whatever_is_lost_the_rest_is_paired(
 @pytest.mark.parametrize("n_ahead", [0, 60])
 @pytest.mark.parametrize("ms_ahead", [0, 500, 1737])
 @pytest.mark.parametrize("restarts", ["P", "S"])
-def test_a_head_that_starts_anew_is_paired_again(
+def test_a_head_that_restarts_is_paired_again(
     batch: int, n_ahead: int, ms_ahead: int, restarts: str, tmp_path: Path
 ) -> None:
     """All but those of the batch in which it comes back, and the other head's clock goes on."""
@@ -206,7 +206,7 @@ def test_a_head_that_starts_anew_is_paired_again(
 
 
 @pytest.mark.parametrize("n_ahead", [0, 60])
-def test_heads_that_both_start_anew_are_paired_and_it_is_reported(n_ahead: int, tmp_path: Path) -> None:
+def test_heads_that_both_restart_are_paired_and_it_is_reported(n_ahead: int, tmp_path: Path) -> None:
     log = Log(n_ahead, 500, 5, restarts="PS")
     result = read(written(log, tmp_path / "log"))
     assert result.frames == log.wanted()
