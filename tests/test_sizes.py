@@ -39,7 +39,7 @@ LINES: Final = {
     "sim_replay/fitting": Limit(7_910, 5_200),
     "sim_replay/hil": Limit(2_100, 3_300),
     "sim_replay/logs": Limit(8_510, 3_900),
-    "sim_replay/report": Limit(2_030, 2_000),
+    "sim_replay/report": Limit(2_040, 2_000),
     "sim_replay/scoring": Limit(2_180, 2_200),
     "sim_replay/simulator": Limit(6_550, 6_900),
     "sim_replay/view": Limit(2_610, 2_000),

@@ -270,7 +270,11 @@ def _facts(mission: MissionRecord, contacts: Sequence[Contact]) -> list[tuple[st
     likely = sum(is_mine_like(contact) for contact in contacts)
     facts = [
         (str(likely), "mine-like contact" if likely == 1 else "mine-like contacts", f"of {len(contacts)} in all"),
-        (words.area(1e6 * mission.covered_km2), "covered", "overlap twice; turns, poor pings, large shadows left out"),
+        (
+            words.area(1e6 * mission.covered_km2),
+            "covered",
+            "overlap counted twice; turns, poor pings, large shadows left out",
+        ),
         (words.distance(mission.distance_m), "sailed", "along the track"),
         (words.duration(mission.duration_s), "of recording", _period(mission)),
     ]

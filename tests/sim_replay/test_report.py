@@ -311,7 +311,7 @@ def test_pictures_in_the_page_are_pictures() -> None:
 
 def test_the_page_says_that_the_area_covered_counts_overlap_twice() -> None:
     """It stood unexplained above a smaller area seen: 20 885 m² covered of 15 609 m²."""
-    assert "overlap twice" in Page(full_page()).text
+    assert "overlap counted twice" in Page(full_page()).text
 
 
 def test_the_page_says_where_the_number_of_mines_left_comes_from() -> None:
