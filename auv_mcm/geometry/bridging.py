@@ -146,9 +146,9 @@ class Dated(NamedTuple):
         hole = self.position.holes(times)
         if hole is None:
             return into
-        rows, left_s, right_s, left, right = hole
+        rows, left_s, right_s, left, right, joined = hole
         self._carry_on(times, rows, left_s, into)
-        usable = (right_s - left_s <= MAX_HOLE_S + CLOCK_S) & (right_s - times[rows] < right[:, 5])
+        usable = joined & (right_s - left_s <= MAX_HOLE_S + CLOCK_S) & (right_s - times[rows] < right[:, 5])
         steady = self._is_steady(left_s, right_s)
         made, until, before = map(self._made, (times[rows], right_s, left_s))
         fraction = (times[rows] - left_s) / (right_s - left_s)
@@ -156,7 +156,9 @@ class Dated(NamedTuple):
         chosen = known & usable
         place[rows[chosen]], sigma_m[rows[chosen]] = placed[chosen], placed_sigma_m[chosen]
         bridged[rows[chosen]] = True
-        return Bridged(place, sigma_m, bridged, int(np.count_nonzero(usable & ~known)), float(np.max(right_s - left_s)))
+        return Bridged(
+            place, sigma_m, bridged, int(np.count_nonzero(usable & ~known)), float(np.max(joined * (right_s - left_s)))
+        )
 
     def _made(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
         """Give the way made until instants, (n, 4), NaN where it is not known."""

@@ -179,7 +179,7 @@ class NavBuffer:
         ):
             if channel.has_hole(derived_s, newest_s) or verdicts.holds_after(derived_s):
                 ready_s = min(ready_s, derived_s)
-        return ready_s
+        return self._position.before_hole(ready_s)  # how it is bridged depends on heading and way up to its end
 
     def interpolate(self, times_s: NDArray[np.float64]) -> PoseTrack:
         """Compute poses at `times_s` (n,), linear between samples.

@@ -34,13 +34,17 @@ class Values(NamedTuple):
 
 
 class Holes(NamedTuple):
-    """Hold instants between values too far apart to interpolate: their rows, and the times and values of both."""
+    """Hold instants between values too far apart to interpolate: their rows, and the times and values of both.
+
+    joined: may a line lead from one to the other?
+    """
 
     rows: NDArray[np.intp]
     left_s: NDArray[np.float64]
     right_s: NDArray[np.float64]
     left: NDArray[np.float64]
     right: NDArray[np.float64]
+    joined: NDArray[np.bool_]
 
 
 class TimedValues:
@@ -82,6 +86,17 @@ class TimedValues:
     def has_hole(self, from_s: float, newest_s: float) -> bool:
         """Check whether any instant from `from_s` to `newest_s` is not between values close enough to interpolate."""
         return newest_s - self.last_s > self.limits.bridge_s or from_s < self._hole_end_s
+
+    def before_hole(self, time_s: float) -> float:
+        """Give the time of the value before the hole that an instant is in, or the instant where it is in none."""
+        if time_s >= self._hole_end_s or math.isinf(self._hole_end_s):
+            return time_s
+        self._gather()
+        right = self._start + int(np.searchsorted(self._times[self._start : self._stop], time_s, side="right"))
+        if right == self._start or right == self._stop:
+            return time_s
+        left_s, right_s = self._times[right - 1 : right + 1].tolist()
+        return float(left_s) if right_s - left_s > self.limits.bridge_s + CLOCK_S and self._joined[right] else time_s
 
     def at(self, times: NDArray[np.float64]) -> Values:
         """Give the values at instants, (n,): interpolated, else of the nearest sample."""
@@ -152,7 +167,7 @@ class TimedValues:
         return float(self._times[self._start]) if self._stop > self._start else math.inf
 
     def holes(self, times: NDArray[np.float64]) -> Holes | None:
-        """Find the instants in holes too long to interpolate, but joined; None if there are none."""
+        """Find the instants in holes too long to interpolate whose value is not the later one; None without any."""
         self._gather()
         known_s = self._times[self._start : self._stop]
         if known_s.size < 2 or not times.size:
@@ -160,14 +175,15 @@ class TimedValues:
         right = np.searchsorted(known_s, times, side="right")
         rows = np.flatnonzero((right > 0) & (right < known_s.size))
         right = right[rows]
-        is_hole = (known_s[right] - known_s[right - 1] > self.limits.bridge_s + CLOCK_S) & self._joined[
-            self._start + right
-        ]
+        left_s, right_s, joined = known_s[right - 1], known_s[right], self._joined[self._start + right]
+        until_s = right_s - times[rows]
+        at_later = (until_s < times[rows] - left_s) & (until_s <= self.limits.look_ahead_s + CLOCK_S)
+        is_hole = (right_s - left_s > self.limits.bridge_s + CLOCK_S) & (joined | ~at_later)
         if not is_hole.any():
             return None
-        rows, right = rows[is_hole], right[is_hole]
         known = self._values[self._start : self._stop]
-        return Holes(rows, known_s[right - 1], known_s[right], known[right - 1], known[right])
+        left, later = known[right[is_hole] - 1], known[right[is_hole]]
+        return Holes(rows[is_hole], left_s[is_hole], right_s[is_hole], left, later, joined[is_hole])
 
     def forget_before(self, time_s: float) -> None:
         """Keep the last sample at or before `time_s`, as left neighbour, and all later ones."""

@@ -64,6 +64,22 @@ def test_a_vehicle_that_starts_to_move_changes_no_heading_that_is_ready() -> Non
     assert_final([without(fix, "heading_rad", "speed_mps") for fix in fixes])
 
 
+def test_a_hole_waits_for_the_heading_at_its_end() -> None:
+    """Whether it is bridged depends on it; one more sample of the same instant may bring it."""
+    ends = [without(here(second, east=1.2 * second), "heading_rad") for second in (3.75, 5.625)]
+    assert_final(
+        [here(0.0, heading_rad=1.5), *ends, only(5.625, heading_rad=0.0)],
+        NavigationConfig(max_extrapolation_s=3.0, max_gap_s=0.5),
+    )
+
+
+def test_a_fix_elsewhere_changes_no_position_that_was_carried_on() -> None:
+    fixes = [here(0.5 * i, east=0.6 * i, heading_rad=1.5) for i in range(10)]
+    reckoned = [only(0.5 * i, heading_rad=1.5, speed_mps=1.2) for i in range(10, 30)]
+    elsewhere = [here(0.5 * i, east=0.6 * i, north=900.0, heading_rad=1.5) for i in range(30, 50)]
+    assert_final([*fixes, *reckoned, *elsewhere])
+
+
 def assert_final(samples: list[NavSample], config: NavigationConfig | None = None) -> None:
     """After each sample take every pose that is reported ready; at the end they must all be the same still."""
     times = START_S + np.arange(-32, 16 * 50) / 16.0
