@@ -83,7 +83,8 @@ def _age_s(health: Health) -> float:
 
 
 def _is_late(health: Health) -> bool:
-    return _age_s(health) > _LATE_PERIODS * health.period_s + 1.0  # a second: of writing, and of the start
+    """Find whether a record is too old, or of a later time: the clock was set back since, as at a start without one."""
+    return abs(_age_s(health)) > _LATE_PERIODS * health.period_s + 1.0  # a second: of writing, and of the start
 
 
 def _shown(health: Health) -> str:

@@ -103,6 +103,11 @@ class LastingPerception:
         return self._perception.in_flight
 
     @property
+    def pings_in_flight(self) -> int:
+        """Count the pings among them."""
+        return self._perception.pings_in_flight
+
+    @property
     def pings_waiting(self) -> int:
         """Count pings that came while the process was fed again, and wait in the spool for their turn.
 

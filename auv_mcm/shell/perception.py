@@ -109,6 +109,11 @@ class Perception:
         """Count messages the worker has not answered yet."""
         return len(self._in_flight)
 
+    @property
+    def pings_in_flight(self) -> int:
+        """Count the pings among them."""
+        return sum(self._in_flight)
+
     async def start(self) -> Started:
         """Spawn the process and wait until it is ready. Raises PerceptionError if it cannot start."""
         context = multiprocessing.get_context("spawn")

@@ -439,6 +439,7 @@ class Service:
             queue_pings=self._n_waiting,
             queue_limit=self._config.service.queue_pings,
             in_flight=self._perception.in_flight,
+            pings_in_flight=self._perception.pings_in_flight,
             waits_on_purpose=self._source.lossless,
             contacts=as_what.count(NO_CLUTTER),
             clutter=as_what.count(CLUTTER),

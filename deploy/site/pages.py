@@ -18,7 +18,7 @@ from auv_mcm.cli import _parser
 from auv_mcm.commands import Parser
 from auv_mcm.settings.config import Config, config_yaml
 from auv_mcm.settings.key_words import port_keys
-from auv_mcm.shell.health.record import REASONS, STATES, VALUES
+from auv_mcm.shell.health.record import GRAVITY, REASONS, VALUES
 from auv_mcm.shell.health.text import metric_name
 from auv_mcm.skips import SKIPS
 from deploy.site.raised import ROOT, counted_names, notices_by_code, raised_notices
@@ -189,7 +189,7 @@ def health_page() -> str:
         "`health.json` is one JSON object on one line: `state` of the whole, that of its worst part; `version`,",
         "`session`, `utc_s`, `period_s` until the next record; and `parts`, each with `name`, `state`, `reasons`,",
         "`words` for people and `values`. In the order of their gravity, states are "
-        + ", ".join(f"`{state}`" for state in STATES)
+        + ", ".join(f"`{state}`" for state in GRAVITY)
         + ".",
         "`/metrics` has the same for Prometheus. [How to watch it](../how-to/watch-the-payload.md).",
         *("", "## Parts", ""),

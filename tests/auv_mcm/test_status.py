@@ -56,7 +56,11 @@ def test_json_is_the_record_with_its_state(session: Path, capsysbinary: pytest.C
 
 @pytest.mark.parametrize(
     ("now", "age_s", "said"),
-    [(LATER._replace(pings=100), 0.0, "perception_stalled: pings wait"), (LATER, 60.0, "THIS IS OLD: ")],
+    [
+        (LATER._replace(pings=100), 0.0, "perception_stalled: pings wait"),
+        (LATER, 60.0, "THIS IS OLD: "),
+        (LATER, -60.0, "THIS IS OLD: "),
+    ],
 )
 def test_a_fault_and_a_record_that_is_too_old_are_exit_code_4(
     now: Measured, age_s: float, said: str, session: Path, capsys: pytest.CaptureFixture[str]

@@ -6,6 +6,7 @@ import contextlib
 import logging
 import math
 import os
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -38,30 +39,43 @@ class HealthFiles:
     def write(self, health: Health, now_s: float) -> None:
         """Replace the newest record, and add it to the history if it is due. now_s: monotonic."""
         data = health.to_json() + b"\n"
-        try:
-            for path in self._paths:
-                # Not durable: after a power cut nobody asks how the payload was a second before.
-                with replacing(path, durable=False) as file:
-                    file.write(data)
-            for path in self._paths[1:]:
-                path.chmod(0o644)  # it holds no position of a contact
-            judged = health.reasons, health.state
-            if judged != self._was or now_s - self._written_s >= _HISTORY_S:
-                with open_for_append(self._history) as history:
-                    history.write(data)
-                self._was, self._written_s = judged, now_s
-        except OSError as error:
-            if not self._has_failed:
-                log.warning("health is not on disk: %s: %s. Free space on the disk.", error.filename, error.strerror)
-            self._has_failed = True
-        else:
-            self._has_failed = False
+        errors: list[OSError] = []
+        # Each for itself: where the disk of the session is full, monitors still learn it from the other folder.
+        steps = [partial(_replace, data, self._paths[0]), partial(self._keep, health, data, now_s)]
+        for step in (*steps, *(partial(_publish, data, path) for path in self._paths[1:])):
+            try:
+                step()
+            except OSError as error:
+                errors.append(error)
+        if errors and not self._has_failed:
+            first = errors[0]
+            log.warning("health is not on disk: %s: %s. Free space on the disk.", first.filename, first.strerror)
+        self._has_failed = bool(errors)
+
+    def _keep(self, health: Health, data: bytes, now_s: float) -> None:
+        """Add the record to the history if it is due. Raises OSError."""
+        judged = health.reasons, health.state
+        if judged != self._was or now_s - self._written_s >= _HISTORY_S:
+            with open_for_append(self._history) as history:
+                history.write(data)
+            self._was, self._written_s = judged, now_s
 
     def close(self) -> None:
         """Remove the record outside of the session: the service ends, and nobody keeps it up to date."""
         for path in self._paths[1:]:
             with contextlib.suppress(OSError):
                 path.unlink()
+
+
+def _replace(data: bytes, path: Path) -> None:
+    # Not durable: after a power cut nobody asks how the payload was a second before.
+    with replacing(path, durable=False) as file:
+        file.write(data)
+
+
+def _publish(data: bytes, path: Path) -> None:
+    _replace(data, path)
+    path.chmod(0o644)  # it holds no position of a contact
 
 
 def read_health(path: Path) -> Health:

@@ -29,9 +29,10 @@ class Computer(NamedTuple):
 class Measured(NamedTuple):
     """Hold what the service measures of itself at one moment, monotonic time `now_s`.
 
-    late_s: how late the event loop woke up at most since the last measurement. counters: of the service and of its
-    recorder. waits_on_purpose: the source waits for perception. source: None for one without ports. vehicle: who has
-    control and what was refused, in words; None without a vehicle. service, perception: their processes.
+    late_s: how late the event loop woke up at most since the last measurement. pings_in_flight: of the messages in
+    flight. counters: of the service and of its recorder. waits_on_purpose: the source waits for perception. source:
+    None for one without ports. vehicle: who has control and what was refused, in words; None without a vehicle.
+    service, perception: their processes.
     """
 
     now_s: float
@@ -43,6 +44,7 @@ class Measured(NamedTuple):
     queue_pings: int
     queue_limit: int
     in_flight: int
+    pings_in_flight: int
     waits_on_purpose: bool
     contacts: int
     clutter: int
@@ -106,8 +108,9 @@ def _perception(now: Measured, before: Measured, span_s: float) -> Part:
         flaws.append("perception_restarted")
     if not now.has_kernels:
         flaws.append("no_kernels")
-    rate_hz = (now.pings - before.pings) / span_s if span_s > 0.0 else math.nan
-    waiting = now.queue_pings + now.in_flight
+    # Perception that becomes ready brings the pings of the runs before.
+    rate_hz = (now.pings - before.pings) / span_s if span_s > 0.0 and before.is_ready else math.nan
+    waiting = now.queue_pings + now.pings_in_flight
     return Part(
         name="perception",
         state="boot" if not now.is_ready else "fault" if faults else "degraded" if flaws else "normal",

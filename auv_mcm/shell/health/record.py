@@ -10,8 +10,10 @@ from auv_mcm.clean_text import clean_json
 
 State: TypeAlias = Literal["boot", "normal", "degraded", "fault"]
 STATES: Final[tuple[State, ...]] = get_args(State)
-"""States in the order of their gravity. boot: not ready yet; degraded: it works, but less well; fault: a part of the
+"""States by their number for Prometheus. boot: not ready yet; degraded: it works, but less well; fault: a part of the
 mission is not done."""
+GRAVITY: Final[tuple[State, ...]] = ("normal", "boot", "degraded", "fault")
+"""States in the order of their gravity: the whole is as its worst part, and not normal while one is not ready."""
 
 REASONS: Final = {
     "starting": "perception is not ready yet; wait",
@@ -45,7 +47,7 @@ VALUES: Final = {
     "queue_pings": "pings that wait for perception",
     "queue_pings_limit": "service.queue_pings",
     "messages_in_flight": "messages that perception has not answered yet",
-    "delay_s": "time from a ping's arrival to its answer: what waits, by the rate of pings (Little's law)",
+    "delay_s": "time from a ping's arrival to its answer: the pings that wait, by their rate (Little's law)",
     "contacts": "contacts announced that are no clutter",
     "clutter": "contacts announced as clutter",
     "received_bytes_total": "bytes received at the port",
@@ -88,7 +90,7 @@ class Health(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def state(self) -> State:
         """Give the state of the worst part."""
-        return max((part.state for part in self.parts), key=STATES.index, default="boot")
+        return max((part.state for part in self.parts), key=GRAVITY.index, default="boot")
 
     @property
     def reasons(self) -> tuple[str, ...]:

@@ -47,6 +47,12 @@ def test_a_disk_that_takes_nothing_costs_one_warning(tmp_path: Path, caplog: pyt
     assert [entry.message.partition(":")[0] for entry in caplog.records] == ["health is not on disk"]
 
 
+def test_a_full_disk_keeps_no_record_from_monitors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
+    HealthFiles(tmp_path / "gone").write(record(), 0.0)
+    assert read_health(tmp_path / HEALTH) == record()
+
+
 def test_what_is_no_record_is_refused_with_its_place(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"health\.json: No such file or directory\. Name a session's folder"):
         read_health(tmp_path / HEALTH)

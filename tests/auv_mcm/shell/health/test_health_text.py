@@ -19,7 +19,7 @@ ILL = LATER._replace(
 
 def test_the_line_has_counts_ports_vehicle_and_state() -> None:
     assert health_line(record()) == (
-        "pings=150 queue=2/512 in_flight=3 dropped=0 contacts=4 clutter=7 lag_ms=1.0 ports=sonar:up "
+        "pings=150 queue=2/512 in_flight=40 dropped=0 contacts=4 clutter=7 lag_ms=1.0 ports=sonar:up "
         "vehicle=granted (by IMC) state=normal"
     )
     ill = health_line(record(ILL))

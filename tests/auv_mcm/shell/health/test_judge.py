@@ -57,8 +57,7 @@ def test_a_trouble_is_a_state_and_a_reason_of_its_part_alone(
     assert (found.state, found.reasons) == (state, (reason,))
     others = {other.name: other.reasons for other in judge(now, WELL) if other.name != name}
     assert set(others.values()) == {()}
-    # Nothing is normal before perception is ready; else the whole is as the worst part.
-    assert record(now).state == state or name == "service"
+    assert record(now).state == state  # as the worst part; nothing is normal before perception is ready
     assert record(now).reasons == (f"{name}:{reason}",)
 
 
@@ -88,13 +87,15 @@ def test_a_source_that_waits_on_purpose_is_neither_behind_nor_stalled() -> None:
 def test_rates_are_those_of_the_period() -> None:
     perception, sonar = part("perception").values, part("port.sonar").values
     assert (perception["pings_hz"], perception["processor_share"]) == (10.0, 0.5)
-    assert perception["delay_s"] == 0.5  # 5 wait, 10 a second
+    assert perception["delay_s"] == 0.5  # 5 pings wait, 10 a second
     assert sonar["received_bytes_hz"] == 1000.0
 
 
 def test_what_is_not_known_is_absent() -> None:
     first = part("perception", WELL, WELL).values
     assert not {"pings_hz", "delay_s", "processor_share"} & set(first)
+    restored = part("perception", LATER, WELL._replace(is_ready=False, pings=0)).values  # the pings before a power cut
+    assert not {"pings_hz", "delay_s"} & set(restored)
     silent = LATER._replace(source=SourceHealth((PORT._replace(received_bytes=0, age_s=NEVER),), ()))
     assert "age_s" not in part("port.sonar", silent).values
     unknown = LATER._replace(computer=COMPUTER._replace(temperature_c=math.nan, free_bytes=math.nan))
