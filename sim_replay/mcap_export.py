@@ -27,6 +27,7 @@ _FIX_S: Final = 1.0  # s between two positions of the track
 _JPEG_QUALITY: Final = 85  # of the waterfall
 _RING_M: Final = 2.5  # m: radius of the ring around a contact, beyond the largest mine
 _NS: Final = 1_000_000_000  # nanoseconds per second
+_ROUNDED_S: Final = 5e-4  # s: times of views are written in milliseconds
 _FRAME: Final = "wgs84"
 
 Feature = Mapping[str, Any]
@@ -133,7 +134,9 @@ def _annotations(tile: Tile, time_s: float, views: Sequence[_View], pixel_m: flo
     found = ImageAnnotations(timestamp=_stamp(time_s))
     rising = bool(np.isfinite(times_s).all() and (np.diff(times_s) >= 0.0).all())
     for view in views:
-        if view.side != tile.side or not rising or not times_s[0] <= view.time_s <= times_s[-1]:
+        if view.side != tile.side or not rising:
+            continue
+        if not times_s[0] - _ROUNDED_S <= view.time_s <= times_s[-1] + _ROUNDED_S:
             continue
         row_m = (float(np.interp(view.time_s, times_s, np.arange(len(times_s)))) + 0.5) * tile.row_spacing_m
         right, down = view.ground_range_m / pixel_m, size[1] - row_m / pixel_m

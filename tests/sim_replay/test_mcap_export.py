@@ -76,3 +76,9 @@ def test_a_contact_is_ringed_where_it_lies_in_the_picture(tmp_path: Path) -> Non
     (ring,) = messages["/sonar/starboard/contacts"].circles  # the other contact is elsewhere
     assert math.hypot(ring.position.x - right - 0.5, ring.position.y - down - 0.5) < 1.0
     assert messages["/sonar/starboard/contacts"].texts[0].text == "C00001 0.90"
+
+
+def test_a_contact_in_the_first_row_of_a_tile_is_ringed_though_its_time_is_rounded(tmp_path: Path) -> None:
+    write_mcap(tmp_path / "m.mcap", [timed(0)], {"contacts": [contact(4.0 - 8e-4 / ROW_M, 6.0)]})
+    messages = {topic: message for topic, _, message, _ in decoded(tmp_path / "m.mcap")}
+    assert len(messages["/sonar/starboard/contacts"].circles) == 1
