@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 
 import msgspec
 
-from auv_mcm.contacts.contact import sigma_m
+from auv_mcm.contacts.contact import depth_m, sigma_m
 from auv_mcm.records import EARLY_NUMBERS, Contact, report_number
 from drivers.vehicle.dialect import ContactReport
 
@@ -227,7 +227,7 @@ class ReportQueue:
 
 
 def report_of(contact: Contact, session: int) -> ContactReport:
-    """Make the report of a contact, revision 0. Contacts carry no depth of the sea floor.
+    """Make the report of a contact, revision 0.
 
     Raises ValueError for an id that is not C or E and a number.
     """
@@ -243,6 +243,7 @@ def report_of(contact: Contact, session: int) -> ContactReport:
         classification=contact.classification,
         belief=dict(contact.belief),
         n_views=len(contact.views),
+        depth_m=depth_m(contact),
         length_m=contact.length_m,
         width_m=contact.width_m,
         height_m=contact.height_m,

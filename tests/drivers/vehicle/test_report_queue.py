@@ -49,6 +49,8 @@ def test_a_report_says_what_the_contact_is() -> None:
     assert report.sigma_m == pytest.approx(2.0)
     assert (report.length_m, report.length_sigma_m, report.n_views) == (2.0, 0.1, 0)
     assert math.isnan(report.height_m)
+    assert math.isnan(report.depth_m)
+    assert report_of(contact(12, views=(drawn_looks.detection(depth_m=21.5),)), 7).depth_m == 21.5
 
 
 def test_a_change_replaces_the_report_that_is_still_pending() -> None:
