@@ -278,7 +278,7 @@ class Service:
         n_dropped, self._n_dropped_reported = self._n_dropped_reported, self._counters["service.ping_dropped"]
         if self._n_dropped_reported > n_dropped or 2 * self._n_waiting > self._config.service.queue_pings:
             faults.append("perception is behind")
-        return faults
+        return faults + self._health.faults
 
     @property
     def _n_waiting(self) -> int:

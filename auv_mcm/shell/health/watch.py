@@ -21,6 +21,7 @@ from auv_mcm.shell.health.text import health_line
 
 log = logging.getLogger(__name__)
 
+_OWN_FAULTS: Final = ("journal_failed", "perception_stalled", "disk_full")  # that nobody else tells the vehicle
 _LAG_PROBE_S: Final = 0.25  # s between two measurements of how late the event loop wakes
 
 
@@ -45,6 +46,12 @@ class HealthWatch:
     def is_fault(self) -> bool:
         """Check whether the newest health is a fault."""
         return self._newest is not None and self._newest.state == "fault"
+
+    @property
+    def faults(self) -> list[str]:
+        """List in words the faults that the newest health alone shows."""
+        found = () if self._newest is None else (part.reasons for part in self._newest.parts)
+        return [reason.replace("_", " ") for reasons in found for reason in reasons if reason in _OWN_FAULTS]
 
     async def open(self) -> list[Notice]:
         """Open the port for monitors, if there is one. Returns a notice where it cannot be had."""

@@ -21,6 +21,7 @@ from auv_mcm.records import NAN, Contact, Notice, Waypoint
 from auv_mcm.settings.config import Config, ServiceConfig
 from auv_mcm.settings.plan_settings import PlanConfig
 from auv_mcm.settings.vehicle_settings import VehicleConfig
+from auv_mcm.shell.health.judge import Computer
 from auv_mcm.shell.perception_chain import MakePipeline
 from auv_mcm.shell.service import Service
 from auv_mcm.source import EventSink, PortState, QuantityState, Record, SourceHealth
@@ -181,6 +182,14 @@ def test_what_is_wrong_is_reported_and_that_it_is_well_again(tmp_path: Path) -> 
 
     serve(tmp_path, ports, until)
     assert healths()[:3] == [("normal", ""), ("fault", "port sonar is down"), ("normal", "")]
+
+
+def test_a_full_disk_is_no_normal_health_for_the_vehicle(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("auv_mcm.shell.service.measure_computer", lambda folder: Computer(5e7, NAN, math.inf))
+    ports = Ports()
+    serve(tmp_path, ports, lambda: "fault" in ports.vehicle.words() or "normal" in ports.vehicle.words())
+    assert ("fault", "disk full") in ports.vehicle.reports
+    assert "normal" not in ports.vehicle.words()
 
 
 def test_a_position_that_leaps_is_none_to_plan_from(tmp_path: Path) -> None:
