@@ -187,19 +187,21 @@ class Service:
         await asyncio.to_thread(self._start_recording)
         self._start_vehicle_link()
         tasks.create_task(self._take_in())  # events that come in while perception starts are not lost
+        reporting = tasks.create_task(self._report_health())
         await asyncio.wait({self._starting})
         if self._starting.cancelled():  # the time to stop is over
+            reporting.cancel()
             return
         gc.collect()
         gc.freeze()  # a collection would otherwise walk through every imported module and hold up the ports
         log.info("ready: source %s, results in %s", self._config.service.source or "given", self._folder)
         self._is_ready = True
         report("READY=1", f"STATUS=results in {self._folder}")
-        attending = [feed_watchdog(), self._health.watch_lag(), self._report_health(), self._remember()]
+        attending = [feed_watchdog(), self._health.watch_lag(), self._remember()]
         if self._vehicle_link is not None:
             known = self._contacts.in_order() if self._memory.n_starts > 1 else ()
             attending += [self._attend_vehicle(self._vehicle_link), self._vehicle_link.report_again(known)]
-        running = [tasks.create_task(each) for each in (*attending, self._feed())]
+        running = [reporting, *(tasks.create_task(each) for each in (*attending, self._feed()))]
         self._publishing = tasks.create_task(self._publish())
         if self._is_late:  # before perception had started
             self._end_publishing()

@@ -95,6 +95,13 @@ def test_that_numpy_does_the_work_of_the_kernels_is_announced_and_in_every_healt
     assert [line for line in health if "kernels=NUMPY" not in line] == []
 
 
+def test_health_is_kept_up_to_date_while_perception_starts(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.INFO):
+        serve(tmp_path, Events(mission(1)))
+    said = [record.message.partition(" ")[0] for record in caplog.records]
+    assert "health" in said[: said.index("ready:")]
+
+
 def test_the_last_record_of_health_is_as_the_mission_ended(tmp_path: Path) -> None:
     results = serve_ports(tmp_path, Ports(mission(30)))
     health = read_health(results / "health.json")
