@@ -14,11 +14,15 @@ from drivers.framing import StampedFramer
 from drivers.vehicle import imc_messages as imc
 from drivers.vehicle.dialect import ReportedState, VehicleMessage, fix_of
 from drivers.vehicle.imc_codec import LAYOUTS, decode
-from drivers.vehicle.imc_messages import ImcMessage
-from drivers.vehicle.imc_wire import ImcGrammar, ImcPacket
+from drivers.vehicle.imc_messages import ImcMessage, PlanState
+from drivers.vehicle.imc_wire import ANYONE, ImcGrammar, ImcPacket
+
+PLAN_ID: Final = "auv_mcm"
+"""Name of the payload's plan."""
 
 VEHICLE_TYPES: Final = frozenset({2, 3})  # Announce.sys_type: under water, on the surface
 _ANOTHER_AFTER_S: Final = 60.0  # s of silence of a vehicle that is not named, until another takes its place; chosen
+_ABORTS_S: Final = 2.0  # s after an Abort in which a report may still be of the plan that it ends
 _MAX_HEARD: Final = 4  # vehicles named in a doubt: two suffice for it, and anybody may send thousands
 _MAX_OFFSET_M: Final = 1e5  # m from the reference: more is damage
 
@@ -42,14 +46,19 @@ class FollowedVehicle:
         """named: the address configured, 0 for none."""
         self._named = named or None
         self._all: dict[int, None] = {}  # vehicles heard, where none is named
+        self._aborted_s: float | None = None  # since when, until it flies a plan of its own again
         self.restart()
 
     def restart(self) -> None:
         """Forget whom to follow, as on a wire that was opened again."""
         self.number, self._heard_s = self._named, -math.inf
 
-    def hear(self, source: int, message: ImcMessage, now_s: float) -> None:
-        """Take a message of any source but the payload."""
+    def hear(self, source: int, message: ImcMessage, now_s: float, to: int = ANYONE) -> None:
+        """Take a message of any source but the payload. to: whom it is addressed to."""
+        if isinstance(message, imc.Abort) and to in (ANYONE, self.number):
+            self._aborted_s = now_s
+        elif source == self.number and self._aborted_s is not None and _flies_own_plan(message):
+            self._aborted_s = self._aborted_s if now_s - self._aborted_s < _ABORTS_S else None
         if self._named is None and is_vehicle(message):
             if len(self._all) < _MAX_HEARD:
                 self._all[source] = None
@@ -61,7 +70,13 @@ class FollowedVehicle:
     @property
     def may_be_asked(self) -> bool:
         """Check whether a vehicle is known that may be asked for control."""
-        return self.number is not None and not self.doubt
+        return self.number is not None and not self.why_not
+
+    @property
+    def why_not(self) -> str:
+        """Say why the vehicle is not asked for control, "" where it may be."""
+        aborted = "an Abort came. Control is requested again once the vehicle flies a plan of its own"
+        return self.doubt or (aborted if self._aborted_s is not None else "")
 
     @property
     def doubt(self) -> str:
@@ -130,6 +145,12 @@ def is_vehicle(message: ImcMessage) -> bool:
     """Check whether only a vehicle sends this message."""
     return isinstance(message, imc.EstimatedState) or (
         isinstance(message, imc.Announce) and message.sys_type in VEHICLE_TYPES
+    )
+
+
+def _flies_own_plan(message: ImcMessage) -> bool:
+    return isinstance(message, imc.PlanControlState) and (
+        message.state == PlanState.EXECUTING and message.plan_id != PLAN_ID
     )
 
 

@@ -23,7 +23,7 @@ from auv_mcm.clock import Stamp
 from auv_mcm.records import NAN
 from auv_mcm.settings.vehicle_settings import ImcSettings
 from drivers.vehicle import imc_messages as imc
-from drivers.vehicle.decoders.imc_decoder import FollowedVehicle, ImcReceived
+from drivers.vehicle.decoders.imc_decoder import PLAN_ID, FollowedVehicle, ImcReceived
 from drivers.vehicle.dialect import (
     Acknowledged,
     Capability,
@@ -59,7 +59,6 @@ from drivers.vehicle.imc_messages import (
 from drivers.vehicle.imc_wire import ANY_ENTITY, ANYONE, packed
 from drivers.vehicle.sender_clock import SenderClock
 
-PLAN_ID: Final = "auv_mcm"
 _MANEUVER_ID: Final = "follow"
 _ENTITY: Final = 1  # ours that sends all this
 _FOLLOW_REFERENCE: Final = number_of(imc.FollowReference)
@@ -299,10 +298,10 @@ class ImcTalker:
 
     def _taken(self, received: ImcReceived, state: ReportedState | None, now_s: float) -> list[VehicleEvent]:
         message = received.message
+        doubts = self._choose(received, now_s)
         if isinstance(message, imc.Abort):
             self._idle()
             return [Withheld(f"Abort from 0x{received.source:04X}")]  # whoever sends it, and whether or not we command
-        doubts = self._choose(received, now_s)
         if received.source != self._vehicle.number:
             self.counters["imc.other_source"] += 1
             return doubts
@@ -311,7 +310,7 @@ class ImcTalker:
     def _choose(self, received: ImcReceived, now_s: float) -> list[VehicleEvent]:
         """Choose the vehicle to follow. Another one begins with nothing said, and a clock of its own."""
         before, doubted = self._vehicle.number, self._vehicle.doubt
-        self._vehicle.hear(received.source, received.message, now_s)
+        self._vehicle.hear(received.source, received.message, now_s, received.destination)
         if before not in (None, self._vehicle.number):
             is_open, self._vehicles_clock = self._open, SenderClock()
             self.disconnected()
@@ -493,8 +492,8 @@ class ImcTalker:
         return [Acknowledged(pending.ticket) if message.taken else Rejected(pending.ticket, message.reason)]
 
     def _overdue(self, now_s: float) -> list[VehicleEvent]:
-        if self._vehicle.doubt and self._stage == "requested":
-            return self._withheld(self._vehicle.doubt)
+        if self._vehicle.why_not and self._stage == "requested":
+            return self._withheld(self._vehicle.why_not)
         if self._unanswered_s is not None and now_s - self._unanswered_s > self._settings.control_timeout_s:
             return self._withheld("the vehicle does not answer our references")
         return []

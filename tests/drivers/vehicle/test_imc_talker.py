@@ -13,6 +13,7 @@ from auv_mcm.records import NAN
 from auv_mcm.settings.vehicle_settings import ImcSettings
 from drivers.framing import Framer
 from drivers.vehicle import imc_messages as imc
+from drivers.vehicle.decoders.imc_decoder import PLAN_ID
 from drivers.vehicle.dialect import Doubted, Granted, PlaceReached, Steer, VehicleEvent, Withheld
 from drivers.vehicle.imc_codec import decode
 from drivers.vehicle.imc_messages import (
@@ -26,8 +27,7 @@ from drivers.vehicle.imc_messages import (
     RefState,
     ZUnits,
 )
-from drivers.vehicle.imc_wire import ImcGrammar, ImcPacket, to_wire
-from drivers.vehicle.talkers.imc_talker import PLAN_ID
+from drivers.vehicle.imc_wire import ANYONE, ImcGrammar, ImcPacket, to_wire
 from drivers.vehicle.vehicles import talker_of
 from tests.drivers.vehicle.imc_talk import (
     GOAL,
@@ -197,6 +197,31 @@ def test_an_abort_counts_whoever_says_it() -> None:
     assert talk.hear(imc.Abort(), source=OTHER, to=VEHICLE) == withheld, "it is not to be asked for now either"
 
 
+@pytest.mark.parametrize("to", [VEHICLE, ANYONE])
+def test_after_an_abort_nothing_is_started_until_the_vehicle_flies_a_plan_of_its_own(to: int) -> None:
+    survey = imc.PlanControlState(PlanState.EXECUTING, "survey")
+    talk = Talk()
+    talk.hear(survey)
+    talk.hear(imc.Abort(), source=OTHER, to=to)
+    assert talk.hear(survey) == [], "of before"
+    for _ in range(2):
+        talk.now_s += 61.0
+        talk.dialect.request(talk.now_s)
+        (event,) = talk.hear(imc.PlanControlState(PlanState.READY), imc.VehicleState(OpMode.SERVICE))
+        assert isinstance(event, Withheld)
+        assert "an Abort came" in event.reason
+        assert talk.sent_of(imc.PlanControl, 3.0) == []
+    talk.hear(survey)
+    talk.take_over()
+
+
+def test_an_abort_of_another_vehicle_leaves_ours_to_be_asked() -> None:
+    talk = Talk()
+    talk.hear(imc.Abort(), source=US + 1, to=OTHER)
+    talk.now_s += 61.0
+    talk.take_over()
+
+
 def test_states_reported_before_the_take_over_do_not_end_it() -> None:
     talk = Talk()
     talk.take_over()
@@ -364,6 +389,8 @@ def test_whatever_was_heard_the_next_request_can_be_granted(steps: list[tuple[fl
         talk.hear(message)
         talk.sent()
     talk.dialect.release("done", talk.now_s)
+    talk.now_s += 3.0
+    talk.hear(imc.PlanControlState(PlanState.EXECUTING, "survey"))  # which an Abort may have to wait for
     talk.sent()
     talk.dialect.request(talk.now_s)
     (start,) = [message for message in talk.sent_of(imc.PlanControl) if message.op == PlanOp.START]
