@@ -21,7 +21,7 @@ from auv_mcm.shell.health.text import health_line
 
 log = logging.getLogger(__name__)
 
-_OWN_FAULTS: Final = ("journal_failed", "perception_stalled", "disk_full")  # that nobody else tells the vehicle
+_OWN_FAULTS: Final = ("journal_failed", "perception_stalled", "disk_full")  # that nothing else reports to the vehicle
 _LAG_PROBE_S: Final = 0.25  # s between two measurements of how late the event loop wakes
 
 
