@@ -14,7 +14,7 @@ from drivers.framing import StampedFramer
 from drivers.vehicle import imc_messages as imc
 from drivers.vehicle.dialect import ReportedState, VehicleMessage, fix_of
 from drivers.vehicle.imc_codec import LAYOUTS, decode
-from drivers.vehicle.imc_messages import ImcMessage, PlanState
+from drivers.vehicle.imc_messages import ImcMessage, PlanState, RefState
 from drivers.vehicle.imc_wire import ANYONE, ImcGrammar, ImcPacket
 
 PLAN_ID: Final = "auv_mcm"
@@ -23,6 +23,8 @@ PLAN_ID: Final = "auv_mcm"
 VEHICLE_TYPES: Final = frozenset({2, 3})  # Announce.sys_type: under water, on the surface
 _ANOTHER_AFTER_S: Final = 60.0  # s of silence of a vehicle that is not named, until another takes its place; chosen
 _ABORTS_S: Final = 2.0  # s after an Abort in which a report may still be of the plan that it ends
+_FAILURE: Final = 2  # PlanControlState.last_outcome: not ended by itself
+_IDLE: Final = "the vehicle flies no plan"
 _MAX_HEARD: Final = 4  # vehicles named in a doubt: two suffice for it, and anybody may send thousands
 _MAX_OFFSET_M: Final = 1e5  # m from the reference: more is damage
 
@@ -46,7 +48,10 @@ class FollowedVehicle:
         """named: the address configured, 0 for none."""
         self._named = named or None
         self._all: dict[int, None] = {}  # vehicles heard, where none is named
-        self._aborted_s: float | None = None  # since when, until it flies a plan of its own again
+        self._aborted_s = -math.inf
+        self._withheld = ""  # why it is not asked, until it flies a plan of its own
+        self._flew = self._flies_ours = False  # any plan was reported to run; the payload's runs
+        self.is_left = False  # by the payload, which ends its own plan
         self.restart()
 
     def restart(self) -> None:
@@ -56,9 +61,9 @@ class FollowedVehicle:
     def hear(self, source: int, message: ImcMessage, now_s: float, to: int = ANYONE) -> None:
         """Take a message of any source but the payload. to: whom it is addressed to."""
         if isinstance(message, imc.Abort) and to in (ANYONE, self.number):
-            self._aborted_s = now_s
-        elif source == self.number and self._aborted_s is not None and _flies_own_plan(message):
-            self._aborted_s = self._aborted_s if now_s - self._aborted_s < _ABORTS_S else None
+            self._aborted_s, self._withheld = now_s, "an Abort came"
+        elif source == self.number:
+            self._hear_plan(message, now_s)
         if self._named is None and is_vehicle(message):
             if len(self._all) < _MAX_HEARD:
                 self._all[source] = None
@@ -66,6 +71,24 @@ class FollowedVehicle:
                 self.number = source
         if source == self.number:
             self._heard_s = now_s
+
+    def _hear_plan(self, message: ImcMessage, now_s: float) -> None:
+        """Find out whether the vehicle may be started: it flies, or is idle since the payload's own plan."""
+        if isinstance(message, imc.FollowRefState) and message.state == RefState.TIMEOUT:
+            self._flies_ours = False
+        if not isinstance(message, imc.PlanControlState):
+            return
+        if message.state in (PlanState.BLOCKED, PlanState.READY):
+            if self._flies_ours and not self.is_left and message.last_outcome == _FAILURE:
+                self._withheld = "the payload's plan was stopped on board"
+            elif not self._flew:
+                self._withheld = self._withheld or _IDLE
+            self._flies_ours = False
+        elif message.plan_id == PLAN_ID:
+            self._flew = self._flies_ours = True
+            self._withheld = self._withheld if self._withheld != _IDLE else ""
+        elif message.state == PlanState.EXECUTING and now_s - self._aborted_s >= _ABORTS_S:
+            self._flew, self._withheld = True, ""
 
     @property
     def may_be_asked(self) -> bool:
@@ -75,8 +98,8 @@ class FollowedVehicle:
     @property
     def why_not(self) -> str:
         """Say why the vehicle is not asked for control, "" where it may be."""
-        aborted = "an Abort came. Control is requested again once the vehicle flies a plan of its own"
-        return self.doubt or (aborted if self._aborted_s is not None else "")
+        again = "control is requested once it flies a plan of its own"
+        return self.doubt or (f"{self._withheld}: {again}" if self._withheld else "")
 
     @property
     def doubt(self) -> str:
@@ -145,12 +168,6 @@ def is_vehicle(message: ImcMessage) -> bool:
     """Check whether only a vehicle sends this message."""
     return isinstance(message, imc.EstimatedState) or (
         isinstance(message, imc.Announce) and message.sys_type in VEHICLE_TYPES
-    )
-
-
-def _flies_own_plan(message: ImcMessage) -> bool:
-    return isinstance(message, imc.PlanControlState) and (
-        message.state == PlanState.EXECUTING and message.plan_id != PLAN_ID
     )
 
 

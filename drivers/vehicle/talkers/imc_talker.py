@@ -186,6 +186,7 @@ class ImcTalker:
         self._requested_s = now_s
         self._request_id = self._request_id % 0xFFFF + 1
         self._n_starts = 0
+        self._vehicle.is_left = False
         self._start_due_s = now_s
         self._succeeded = not self._settings.own_plan
         if self._settings.own_plan:
@@ -224,7 +225,7 @@ class ImcTalker:
 
     def release(self, reason: str, now_s: float) -> None:
         if self._stage == "granted":
-            self._followed_s = None
+            self._followed_s, self._vehicle.is_left = None, True
             self._outbox.append(imc.Reference(RefFlag.MANDONE))
             self._stop_due_s = now_s + _STOP_AGAIN_S  # unless MANDONE is lost, there will be nothing to stop
         elif self._stage == "requested" and self._settings.own_plan and self._succeeded:
@@ -273,7 +274,7 @@ class ImcTalker:
         return imc.PlanControl(PlanType.REQUEST, PlanOp.START, self._request_id, PLAN_ID, arg=plan)
 
     def _stop(self, reason: str, now_s: float) -> None:
-        self._stop_due_s = now_s + _STOP_AGAIN_S
+        self._stop_due_s, self._vehicle.is_left = now_s + _STOP_AGAIN_S, True
         self._request_id = self._request_id % 0xFFFF + 1
         self._outbox.append(imc.PlanControl(PlanType.REQUEST, PlanOp.STOP, self._request_id, PLAN_ID, info=reason))
 
@@ -455,9 +456,8 @@ class ImcTalker:
         ours = running and (message.plan_id == PLAN_ID or not self._settings.own_plan)
         unwanted = self._open and self._stage == "idle" and self._settings.own_plan
         if ours and unwanted and now_s >= self._stop_due_s:
-            self._stop(
-                "the payload does not request control", now_s
-            )  # left from a release that was lost, or from an earlier run
+            # left from a release that was lost, or from an earlier run
+            self._stop("the payload does not request control", now_s)
         if ours:
             self._seen_plan = True
             return []

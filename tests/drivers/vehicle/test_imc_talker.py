@@ -215,6 +215,53 @@ def test_after_an_abort_nothing_is_started_until_the_vehicle_flies_a_plan_of_its
     talk.take_over()
 
 
+def test_a_plan_stopped_on_board_is_started_again_only_after_a_plan_of_the_vehicles_own() -> None:
+    talk = Talk()
+    talk.take_over()
+    talk.hear(RUNNING)
+    talk.now_s += 3.0
+    stopped = imc.PlanControlState(PlanState.READY, PLAN_ID, last_outcome=2)
+    assert [type(event) for event in talk.hear(imc.VehicleState(OpMode.SERVICE), stopped)] == [Withheld]
+    talk.now_s += 61.0
+    talk.dialect.request(talk.now_s)
+    (event,) = talk.hear(stopped)
+    assert isinstance(event, Withheld)
+    assert "was stopped on board" in event.reason
+    assert talk.sent_of(imc.PlanControl, 3.0) == []
+    talk.hear(imc.PlanControlState(PlanState.EXECUTING, "survey"))
+    talk.take_over()
+
+
+@pytest.mark.parametrize("how", ["released", "not told in time"])
+def test_a_plan_that_the_payload_ended_may_be_followed_by_another(how: str) -> None:
+    talk = Talk()
+    talk.take_over()
+    talk.hear(RUNNING)
+    if how == "released":
+        talk.dialect.release("done", talk.now_s)
+        talk.sent()
+    else:
+        talk.hear(follow_state(state=RefState.TIMEOUT))
+    talk.now_s += 3.0
+    talk.hear(imc.PlanControlState(PlanState.READY, PLAN_ID, last_outcome=2), imc.VehicleState(OpMode.SERVICE))
+    talk.take_over()
+
+
+def test_a_vehicle_that_has_flown_no_plan_yet_is_not_started() -> None:
+    talk = Talk()
+    idle = imc.PlanControlState(PlanState.READY)
+    talk.hear(idle)
+    talk.dialect.request(talk.now_s)
+    (event,) = talk.hear(idle)
+    assert isinstance(event, Withheld)
+    assert "flies no plan" in event.reason
+    assert talk.sent_of(imc.PlanControl, 3.0) == []
+    talk.hear(RUNNING)  # of an earlier run of the payload
+    talk.sent()  # which stops it
+    talk.now_s += 61.0
+    talk.take_over()
+
+
 def test_an_abort_of_another_vehicle_leaves_ours_to_be_asked() -> None:
     talk = Talk()
     talk.hear(imc.Abort(), source=US + 1, to=OTHER)
