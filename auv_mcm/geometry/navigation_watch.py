@@ -70,9 +70,11 @@ class NavigationWatch:
     def __init__(self) -> None:
         self._raised: set[str] = set()
         self._heading_rad = math.nan
+        self._heading_s = -math.inf
         self._speed_mps = math.nan
         self._chord_start: tuple[Fix, complex] | None = None  # and the sum of headings since then, as unit vectors
-        self._chords: deque[tuple[float, float]] = deque(maxlen=_N_CHORDS)  # course, heading less course; unwrapped
+        # course, heading less course (NaN where there is none); unwrapped
+        self._chords: deque[tuple[float, float]] = deque(maxlen=_N_CHORDS)
         self._still_since: Fix | None = None
         self._still_way_m = 0.0
         self._last_s = math.nan
@@ -88,8 +90,12 @@ class NavigationWatch:
         found = self._check_vertical(sample) + self._pitch.add(sample)
         if math.isfinite(sample.speed_mps):
             self._speed_mps = abs(sample.speed_mps)
+        # Between samples of any kind: positions come more seldom than what a merge gives beside them.
+        step_s = min(max(sample.time_s - self._last_s, 0.0), 1.0)
+        self._still_way_m += step_s * self._speed_mps if math.isfinite(step_s * self._speed_mps) else 0.0
+        self._last_s = sample.time_s
         if math.isfinite(sample.heading_rad):
-            self._heading_rad = sample.heading_rad
+            self._heading_rad, self._heading_s = sample.heading_rad, sample.time_s
             if self._chord_start is not None:
                 fix, headings = self._chord_start
                 self._chord_start = fix, headings + cmath.rect(1.0, sample.heading_rad)
@@ -102,7 +108,6 @@ class NavigationWatch:
         if has_position:
             fix = fix_at(sample.time_s, sample.latitude_deg, sample.longitude_deg)
             found += self._check_leap(fix) + self._check_heading(fix) + self._check_still(fix)
-        self._last_s = sample.time_s
         return [notice for notice in found if not self._was_raised(notice.code)]
 
     def _was_raised(self, code: str) -> bool:
@@ -134,7 +139,7 @@ class NavigationWatch:
 
     def _check_heading(self, fix: Fix) -> list[Notice]:
         start = self._chord_start
-        headings = cmath.rect(1.0, self._heading_rad) if math.isfinite(self._heading_rad) else 0j
+        headings = cmath.rect(1.0, self._heading_rad) if fix.time_s - self._heading_s <= _MAX_CHORD_S else 0j
         if start is None or not 0.0 <= fix.time_s - start[0].time_s <= _MAX_CHORD_S:
             self._chords.clear()
             self._chord_start = (fix, headings)
@@ -142,13 +147,16 @@ class NavigationWatch:
         if chord_m(start[0], fix) < _CHORD_M:
             return []
         self._chord_start = (fix, headings)
-        course, off = course_rad(start[0], fix), cmath.phase(start[1])
-        off -= course
+        course = course_rad(start[0], fix)
+        off = cmath.phase(start[1]) - course if start[1] else math.nan
+        if self._chords and math.isnan(off) != math.isnan(self._chords[-1][1]):
+            self._chords.clear()  # a compass that comes or goes has not turned
         if self._chords:
             course, off = _unwrapped(course, self._chords[-1][0]), _unwrapped(off, self._chords[-1][1])
         self._chords.append((course, off))
-        if not headings and len(self._chords) >= _N_COURSES:
-            return _scattered_course([course for course, _ in self._chords][-_N_COURSES:])
+        if math.isnan(off):
+            courses = [course for course, _ in self._chords]
+            return _scattered_course(courses[-_N_COURSES:]) if len(courses) >= _N_COURSES else []
         if len(self._chords) < _N_CHORDS:
             return []
         (course_change, _), (change, scatter) = (_line(values) for values in zip(*self._chords, strict=True))
@@ -166,8 +174,6 @@ class NavigationWatch:
         if since is None or chord_m(since, fix) > _STILL_M or fix.time_s < since.time_s:
             self._still_since, self._still_way_m = fix, 0.0
             return []
-        step_s = min(max(fix.time_s - self._last_s, 0.0), 1.0)
-        self._still_way_m += step_s * self._speed_mps if math.isfinite(self._speed_mps) else 0.0
         still_s = fix.time_s - since.time_s
         if still_s < _STILL_S or self._still_way_m < _STILL_WAY_M:
             return []
@@ -204,6 +210,8 @@ class NavigationWatch:
 
 
 def _unwrapped(angle_rad: float, near_rad: float) -> float:
+    if math.isnan(angle_rad):
+        return angle_rad
     return angle_rad + 2.0 * math.pi * round((near_rad - angle_rad) / (2.0 * math.pi))
 
 

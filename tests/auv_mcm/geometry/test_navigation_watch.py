@@ -99,6 +99,24 @@ def test_a_position_that_stands_still_for_14_s_at_3_mps_is_reported_live() -> No
     assert codes(samples) == ["navigation.position_frozen"]
 
 
+def test_a_position_that_stands_still_is_reported_though_a_compass_comes_more_often() -> None:
+    samples = []
+    for number, whole in enumerate(line(n=400, speed_mps=3.0)):
+        if number % RATE_HZ == 0.0:
+            place = FROZEN if 48 <= number < 48 + 30 * RATE_HZ else whole
+            samples.append(structs.replace(place, time_s=whole.time_s, heading_rad=math.nan, speed_mps=math.nan))
+        samples.append(NavSample(time_s=whole.time_s + 0.05, heading_rad=whole.heading_rad, speed_mps=whole.speed_mps))
+    assert codes(samples) == ["navigation.position_frozen"]
+
+
+@pytest.mark.parametrize("before_rad", [math.nan, 0.0])
+def test_a_compass_that_comes_or_was_away_during_a_turn_does_not_drift(before_rad: float) -> None:
+    samples = line(course_deg=35.0)
+    silent = [structs.replace(sample, heading_rad=math.nan) for sample in samples[:120]]
+    silent[0] = structs.replace(silent[0], heading_rad=before_rad)
+    assert codes(silent + samples[120:]) == []
+
+
 @given(
     st.floats(0.5, 3.0),
     st.floats(0.0, 360.0),
