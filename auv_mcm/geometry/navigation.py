@@ -379,7 +379,8 @@ class NavBuffer:
             self.counters["navigation.time_repeated"] += 1
             return
         self._last_offered_s = time_s
-        if self._held_position.add(time_s, latitude, longitude, self._last_speed_mps):
+        speed_mps = self._last_speed_mps if time_s - self._speed.last_s <= MAX_HOLE_S else NAN
+        if self._held_position.add(time_s, latitude, longitude, speed_mps):
             self.counters["navigation.position_repeated"] += 1
             return
         added_m = math.sqrt(max(0.0, sigma_m * sigma_m - self._fix_sigma_m**2))  # 0 where none is stated

@@ -121,7 +121,7 @@ class HeldPositionCheck:
     def add(self, time_s: float, latitude_deg: float, longitude_deg: float, speed_mps: float) -> bool:
         """Take a position with the measured speed; return whether it repeats the one before."""
         n_same = (latitude_deg == self._last[0]) + (longitude_deg == self._last[1])
-        is_moving = speed_mps >= MIN_SPEED_MPS and time_s - self._last_s <= MAX_HOLE_S
+        is_moving = abs(speed_mps) >= MIN_SPEED_MPS and time_s - self._last_s <= MAX_HOLE_S
         if n_same == 2 and is_moving and self._n_rounded < _MIN_ROUNDED:
             return True
         if n_same < 2:

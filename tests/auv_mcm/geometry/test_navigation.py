@@ -130,9 +130,14 @@ def test_heading_and_speed_carry_the_position_while_no_fix_comes_and_no_longer()
     assert (track.position_sigma_m[~track.stale] < 2.0).all()
 
 
-@pytest.mark.parametrize("held_s", [1.0, 3.0, 5.0])
-def test_a_position_that_is_repeated_until_the_next_fix_is_measured_once(held_s: float) -> None:
+@pytest.mark.parametrize(("held_s", "is_astern"), [(1.0, False), (3.0, False), (5.0, False), (3.0, True)])
+def test_a_position_that_is_repeated_until_the_next_fix_is_measured_once(held_s: float, is_astern: bool) -> None:
     whole = [arc(0.1 * i) for i in range(500)]
+    if is_astern:
+        whole = [
+            msgspec.structs.replace(sample, heading_rad=sample.heading_rad + math.pi, speed_mps=-1.5)
+            for sample in whole
+        ]
     step = round(held_s / 0.1)
     held = [
         msgspec.structs.replace(
@@ -169,6 +174,12 @@ def test_a_vehicle_that_stands_has_a_position_all_the_time() -> None:
     track = at(buffer, *np.arange(0.0, 29.0, 0.5))
     assert not track.stale.any()
     assert not buffer.counters["navigation.position_repeated"]
+
+
+def test_a_vehicle_that_stops_after_its_speed_is_lost_has_a_position() -> None:
+    moving = [here(0.5 * i, east=0.5 * i) for i in range(60)]
+    still = [without(here(0.5 * i, east=30.0), "speed_mps") for i in range(60, 160)]
+    assert not at(filled(moving + still), *np.arange(50.0, 75.0, 0.5)).stale.any()
 
 
 def test_stale_begins_just_beyond_half_a_second() -> None:
