@@ -20,7 +20,7 @@ _SHARPEST_COSINE: Final = 1e-9  # keeps steps finite at a pole
 
 
 class Position(NamedTuple):
-    """Hold a position with its 1-sigma. is_stated: by the unit or by reckoning, not by the unit's settings."""
+    """Hold a position with its 1-sigma. is_stated: not by the unit's settings alone."""
 
     latitude_deg: float
     longitude_deg: float

@@ -279,7 +279,7 @@ class NavMerge:
             return position
         arm = self._arm(unit)
         if arm is None:
-            return position._replace(sigma_m=math.hypot(position.sigma_m, *unit.lever_arm_m[:2]))
+            return position._replace(sigma_m=math.hypot(position.sigma_m, *unit.lever_arm_m[:2]), is_stated=True)
         north_m, east_m, _ = arm
         return Position(*moved(position.latitude_deg, position.longitude_deg, -east_m, -north_m), *position[2:])
 

@@ -14,7 +14,7 @@ from msgspec import structs
 from auv_mcm.clock import Stamp
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.geometry.navigation import NavBuffer
-from auv_mcm.records import NavSample, Notice
+from auv_mcm.records import NAN, NavSample, Notice
 from auv_mcm.settings.config import NavigationConfig
 from auv_mcm.settings.port_settings import QUANTITIES, NavUnitSettings
 from drivers.navigation.corrections import Readings, arm_north_east_down, moved, offset_m
@@ -107,6 +107,17 @@ def test_a_lever_arm_is_taken_off_with_heading_and_attitude() -> None:
     assert track(samples)[0][1:] == pytest.approx((-east, -north), abs=1e-6)
     assert samples[0].depth_m == pytest.approx(10.0 - down)
     assert samples[0].altitude_m == pytest.approx(5.0 + down)
+
+
+@pytest.mark.parametrize("stated_m", [NAN, 1.0])
+def test_a_lever_arm_that_cannot_be_taken_off_for_want_of_a_heading_is_in_the_sigma(stated_m: float) -> None:
+    unit = NavUnitSettings(lever_arm_m=(4.0, -3.0, 9.0), position_sigma_m=1.0)
+    fixes = [fix("u", 0.1 * n, position_sigma_m=stated_m, **place(0.0, 0.0)) for n in range(3)]
+    fixes.append(fix("u", 0.3, heading_rad=0.0, position_sigma_m=stated_m, **place(0.0, 0.0)))
+    samples, _ = run(merge(u=unit), fixes)
+    assert [sample.position_sigma_m for sample in samples] == pytest.approx(
+        [math.hypot(1.0, 5.0)] * 3 + [stated_m], nan_ok=True
+    )
 
 
 @given(st.floats(-85.0, 85.0), st.floats(-180.0, 180.0), st.floats(-500.0, 500.0), st.floats(-500.0, 500.0))
