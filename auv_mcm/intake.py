@@ -99,7 +99,7 @@ class Intake:
         self._quiet_s = 0.0  # that they lasted
         self._navigated_s = math.nan  # of the newest sample
         self._is_open = False  # the segment has pings
-        self._leap: Ping | None = None  # after a hole in time, until another ping confirms its stamp
+        self._leap: Ping | None = None  # after a hole or a step back, until another ping confirms its stamp
         self._longest_hole_s = max(_MIN_SEGMENT_GAP_S, config.navigation.max_gap_s)
         self._previous_speed_mps = math.nan
         self._along_m = config.waterfall.max_ping_gap_m  # the first ping stands for half a gap of track before it
@@ -179,12 +179,13 @@ class Intake:
             self._counters["ping.time_not_finite"] += 1
             return []
         leap, self._leap = self._leap, None
+        step_s = ping.time_s - self._newest_s
         if leap is None:
-            if ping.time_s - self._newest_s > self._longest_hole_s and math.isfinite(self._newest_s):
-                self._leap = ping  # a hole in time, or one bad stamp: the next ping decides
+            if step_s > self._longest_hole_s or step_s <= -_CLOCK_STEP_S:
+                self._leap = ping  # a hole in time, a clock that was set, or one bad stamp: the next ping decides
                 return []
             return self._accept(ping)
-        if ping.time_s < leap.time_s:
+        if ping.time_s < leap.time_s or leap.time_s < self._newest_s < ping.time_s + _CLOCK_STEP_S:
             self._counters["ping.time_leap"] += 1
             return self.add_ping(ping)
         return self._accept(leap) + self._accept(ping)

@@ -246,8 +246,8 @@ def test_a_clock_set_forward_an_hour_ends_the_segment_and_goes_on() -> None:
     assert fed.counters["navigation.ping_stale"] <= 10
 
 
-@pytest.mark.parametrize("leap_s", [30.0, 86400.0])
-def test_a_single_ping_from_the_future_costs_that_ping_alone(leap_s: float) -> None:
+@pytest.mark.parametrize("leap_s", [-START_S, -30.0, 30.0, 86400.0])
+def test_a_single_ping_of_another_time_costs_that_ping_alone(leap_s: float) -> None:
     pings = [ping(i) for i in range(40)]
     fed = Fed().feed([*pings[:20], ping(1000, START_S + leap_s), *pings[20:]]).flush()
     assert fed.segments == [list(range(40))]
