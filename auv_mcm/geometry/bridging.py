@@ -117,13 +117,15 @@ class Bridged(NamedTuple):
 class Dated(NamedTuple):
     """Hold what places instants: fixes (x, y, z, and in column 5 how far back a fix may serve, s), headings, ways.
 
-    course: serves where no heading is known, or where heading_is_empty.
+    course: serves where no heading is known, or where heading_is_empty. There, and where speed_is_off, no way goes on
+    from a fix.
     """
 
     position: TimedValues
     heading: TimedValues
     course: TimedValues
     heading_is_empty: Verdicts
+    speed_is_off: Verdicts
     way: TimedValues
 
     def bridged(self, times: NDArray[np.float64], place: NDArray[np.float64]) -> Bridged:
@@ -141,8 +143,7 @@ class Dated(NamedTuple):
         into = Bridged(place, sigma_m, bridged)
         last_s = self.position.last_s
         behind = np.flatnonzero(times > last_s)
-        if behind.size:
-            self._carry_on(times, behind, np.full(behind.size, last_s), into)
+        self._carry_on(times, behind, np.full(behind.size, last_s), into)
         hole = self.position.holes(times)
         if hole is None:
             return into
@@ -189,5 +190,6 @@ class Dated(NamedTuple):
         placed, placed_sigma_m, known = bridge(
             Hole(left, left, np.zeros(rows.size), made, before, before, np.zeros(rows.size, dtype=np.bool_))
         )
+        known &= ~(self.speed_is_off.at(times[rows]) | self.heading_is_empty.at(times[rows]))
         into.place[rows[known]], into.sigma_m[rows[known]] = placed[known], placed_sigma_m[known]
         into.bridged[rows[known]] = True

@@ -80,7 +80,8 @@ class NavBuffer:
         self._speed_is_off = Verdicts()
         self._zero_heading = checks.ZeroHeadingCheck()
         self._heading_is_empty = Verdicts()
-        self._dated = Dated(self._position, self._heading, self._course, self._heading_is_empty, self._way)
+        verdicts = self._heading_is_empty, self._speed_is_off
+        self._dated = Dated(self._position, self._heading, self._course, *verdicts, self._way)
         self._last_speed_mps = NAN
         self._has_speed = False  # other than zero
         self._new_fixes: list[tuple[Fix, bool]] = []  # accepted, not used for the speed yet; joined to the one before?
@@ -447,12 +448,7 @@ class NavBuffer:
     @property
     def _chord_hole_s(self) -> float:
         """Give how far apart two fixes of a chord may be, s: farther where they are known to come seldom."""
-        return self._lend_s if self._is_sparse else self._position.limits.bridge_s
-
-    @property
-    def _is_sparse(self) -> bool:
-        """Check whether fixes are known to come seldom."""
-        return self._lend_s > self._shortest_lend_s
+        return self._lend_s if self._lend_s > self._shortest_lend_s else self._position.limits.bridge_s
 
     def _check_zero_heading(self, time_s: float, course_rad: float, way_m: float) -> None:
         course_deg = self._zero_heading.off_course_deg(course_rad, way_m)

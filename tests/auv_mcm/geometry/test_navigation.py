@@ -130,6 +130,17 @@ def test_heading_and_speed_carry_the_position_while_no_fix_comes_and_no_longer()
     assert (track.position_sigma_m[~track.stale] < 2.0).all()
 
 
+@pytest.mark.parametrize("wrong", [{"heading_rad": 0.0}, {"speed_mps": 3.9}, {"speed_mps": 1.0}])
+def test_a_heading_or_speed_that_positions_refute_carries_no_position(wrong: dict[str, float]) -> None:
+    samples = [here(0.1 * i, east=0.2 * i, **{"heading_rad": 1.57, "speed_mps": 2.0, **wrong}) for i in range(700)]
+    seconds = np.arange(55.0, 69.0)
+    lost = [without(sample, "latitude_deg", "longitude_deg") for sample in samples[601:]]
+    track = at(filled([*samples[:601], *lost]), *seconds)
+    off_m = np.abs(east_north(track)[:, 0] - 2.0 * seconds)
+    assert (off_m <= track.position_sigma_m + 0.01).all()
+    assert track.stale.tolist() == (seconds > 60.0).tolist()
+
+
 @pytest.mark.parametrize(("held_s", "is_astern"), [(1.0, False), (3.0, False), (5.0, False), (3.0, True)])
 def test_a_position_that_is_repeated_until_the_next_fix_is_measured_once(held_s: float, is_astern: bool) -> None:
     whole = [arc(0.1 * i) for i in range(500)]
