@@ -140,6 +140,12 @@ def test_starboard_is_to_the_right_of_the_heading(side: Side, heading_deg: float
     )
 
 
+@pytest.mark.parametrize(("side", "expected_deg"), [("port", 285.0), ("starboard", 75.0)])
+def test_a_sub_aperture_that_looks_ahead_hears_echoes_from_ahead_of_abeam(side: Side, expected_deg: float) -> None:
+    echoes = one_echo(side, 13.0, 5.0, heading_rad=0.0)
+    assert aspect_deg(echoes, SonarConfig(), math.radians(15.0))[0] == pytest.approx(expected_deg)
+
+
 @pytest.mark.parametrize("roll_deg", [-20.0, -3.0, 10.0, 20.0])
 def test_roll_moves_an_echo_only_through_the_lever_arm(roll_deg: float) -> None:
     level = one_echo("port", 30.0, 6.0, heading_rad=1.0, pitch_rad=0.1)

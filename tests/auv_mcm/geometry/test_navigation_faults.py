@@ -92,6 +92,7 @@ def test_one_time_stamp_from_the_future_does_not_silence_the_source(position: in
     dirty.insert(position, msgspec.structs.replace(here(leap_s), depth_m=77.0))
     buffer = filled(dirty)
     assert buffer.counters == {"navigation.time_leap": 1}
+    assert buffer.span_s == (START_S, START_S + 4.5)
     assert_same(at(buffer, 0.2, 2.2, 4.4), at(filled(good), 0.2, 2.2, 4.4))
 
 
