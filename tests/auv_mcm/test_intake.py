@@ -38,8 +38,10 @@ def navigation(index: int, shift_s: float = 0.0) -> NavSample:
         latitude_deg=43.0 + 1.8e-5 * since_s,
         longitude_deg=5.0,
         heading_rad=0.1 + 0.01 * since_s,
-        pitch_rad=0.002 * since_s,
+        pitch_rad=0.002 * since_s + 0.01 * max(since_s - 12.0, 0.0) ** 2,
+        roll_rad=0.0,
         depth_m=10.0,
+        altitude_m=0.5,
         speed_mps=2.0,
     )
 

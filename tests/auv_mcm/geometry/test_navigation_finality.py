@@ -80,6 +80,17 @@ def test_a_fix_elsewhere_changes_no_position_that_was_carried_on() -> None:
     assert_final([*fixes, *reckoned, *elsewhere])
 
 
+@pytest.mark.parametrize("factors", [(1.0, 1.94), (1.94, 1.0), (0.5, 0.5)])
+@pytest.mark.parametrize("heading_rad", [0.0, 1.57])
+def test_speed_and_heading_that_positions_refute_change_no_pose_that_is_ready(
+    factors: tuple[float, float], heading_rad: float
+) -> None:
+    whole = [
+        here(0.25 * i, east=0.5 * i, heading_rad=heading_rad, speed_mps=2.0 * factors[i >= 80]) for i in range(180)
+    ]
+    assert_final([without(s, "latitude_deg", "longitude_deg") if i % 60 > 40 else s for i, s in enumerate(whole)])
+
+
 def assert_final(samples: list[NavSample], config: NavigationConfig | None = None) -> None:
     """After each sample take every pose that is reported ready; at the end they must all be the same still."""
     times = START_S + np.arange(-32, 16 * 50) / 16.0

@@ -87,7 +87,7 @@ def test_signs_come_before_offsets(field: str, sign: int, offset_deg: float) -> 
 
 
 def test_a_lever_arm_is_taken_off_with_heading_and_attitude() -> None:
-    heading, pitch, roll, arm = math.radians(120.0), math.radians(20.0), math.radians(-15.0), (2.0, -0.5, -1.0)
+    heading, pitch, roll, arm = math.radians(120.0), math.radians(20.0), math.radians(-15.0), (2.0, -0.5, -0.8)
     yaw_matrix = np.array(
         [[math.cos(heading), -math.sin(heading), 0], [math.sin(heading), math.cos(heading), 0], [0, 0, 1]]
     )
