@@ -132,7 +132,8 @@ def test_heading_and_speed_carry_the_position_while_no_fix_comes_and_no_longer()
 
 @pytest.mark.parametrize("wrong", [{"heading_rad": 0.0}, {"speed_mps": 3.9}, {"speed_mps": 1.0}])
 def test_a_heading_or_speed_that_positions_refute_carries_no_position(wrong: dict[str, float]) -> None:
-    samples = [here(0.1 * i, east=0.2 * i, **{"heading_rad": 1.57, "speed_mps": 2.0, **wrong}) for i in range(700)]
+    sound = (here(0.1 * i, east=0.2 * i, heading_rad=1.57, speed_mps=2.0) for i in range(700))
+    samples = [msgspec.structs.replace(sample, **wrong) for sample in sound]
     seconds = np.arange(55.0, 69.0)
     lost = [without(sample, "latitude_deg", "longitude_deg") for sample in samples[601:]]
     track = at(filled([*samples[:601], *lost]), *seconds)

@@ -189,6 +189,14 @@ def test_the_way_is_reckoned_from_where_a_late_fix_was_measured() -> None:
     assert max(math.dist((east, north), (0.0, 1.5 * t)) for t, east, north in track(samples)) < 0.1
 
 
+def test_positions_reckoned_by_a_late_log_have_the_time_it_measured() -> None:
+    gps = [fix("gps", t, **place(east, north)) for t, east, north, _ in survey(30, circle=False)[::10]]
+    log = [fix("dvl", t + 0.4, heading_rad=0.0, speed_mps=1.5) for t, *_ in survey(60, circle=False)]
+    samples, _ = run(merge(gps=GPS, dvl=structs.replace(DVL, latency_s=0.4)), gps + log)
+    assert len(track(samples)) > 200
+    assert max(math.dist((east, north), (0.0, 1.5 * t)) for t, east, north in track(samples)) < 0.1
+
+
 def test_speed_of_a_submerged_receiver_is_not_believed_either() -> None:
     merged = merge(gps=NavUnitSettings(surface_only=True), depth=NavUnitSettings())
     merged.feed(fix("depth", 0.0, depth_m=4.0))
@@ -349,6 +357,14 @@ def test_units_that_disagree_are_reported_once(
     assert "'a'" in notices[0].text
     assert "'b'" in notices[0].text
     assert merged.counters[f"nav.disagree.{quantity}.b"] == 50
+
+
+def test_units_that_disagree_now_and_then_are_not_reported() -> None:
+    merged = merge(a=NavUnitSettings(priority=1), b=NavUnitSettings(priority=2))
+    fixes = [fix("a", t * 0.1, depth_m=10.0) for t in range(200)]
+    fixes += [fix("b", t * 0.1 + 0.01, depth_m=25.0 if t % 10 == 0 else 10.0) for t in range(200)]
+    assert run(merged, fixes)[1] == []
+    assert merged.counters["nav.disagree.depth.b"] == 20
 
 
 def test_units_that_agree_within_their_errors_are_not_reported() -> None:
