@@ -170,8 +170,6 @@ class TimedValues:
         """Find the instants in holes too long to interpolate whose value is not the later one; None without any."""
         self._gather()
         known_s = self._times[self._start : self._stop]
-        if known_s.size < 2 or not times.size:
-            return None
         right = np.searchsorted(known_s, times, side="right")
         rows = np.flatnonzero((right > 0) & (right < known_s.size))
         right = right[rows]
