@@ -197,6 +197,16 @@ def test_positions_reckoned_by_a_late_log_have_the_time_it_measured() -> None:
     assert max(math.dist((east, north), (0.0, 1.5 * t)) for t, east, north in track(samples)) < 0.1
 
 
+def test_a_drift_to_starboard_reckons_to_starboard_of_the_heading() -> None:
+    gps = [fix("gps", t, **place(east, north)) for t, east, north, _ in survey(10, circle=False)]
+    log = [
+        fix("dvl", t, heading_rad=6.0, drift_rad=math.tau - 6.0, speed_mps=1.5) for t, *_ in survey(40, circle=False)
+    ]
+    samples, _ = run(merge(gps=GPS, dvl=DVL), gps + log)
+    assert len(track(samples)) > 200
+    assert max(math.dist((east, north), (0.0, 1.5 * t)) for t, east, north in track(samples)) < 0.1
+
+
 def test_speed_of_a_submerged_receiver_is_not_believed_either() -> None:
     merged = merge(gps=NavUnitSettings(surface_only=True), depth=NavUnitSettings())
     merged.feed(fix("depth", 0.0, depth_m=4.0))
