@@ -27,7 +27,7 @@ from drivers.vehicle.imc_messages import (
     RefState,
     ZUnits,
 )
-from drivers.vehicle.imc_wire import ANYONE, ImcGrammar, ImcPacket, to_wire
+from drivers.vehicle.imc_wire import ImcGrammar, ImcPacket, to_wire
 from drivers.vehicle.vehicles import talker_of
 from tests.drivers.vehicle.imc_talk import (
     GOAL,
@@ -195,78 +195,6 @@ def test_an_abort_counts_whoever_says_it() -> None:
     withheld = [Withheld("Abort from 0x002F")]
     assert talk.hear(imc.Abort(), source=OTHER, to=VEHICLE) == withheld
     assert talk.hear(imc.Abort(), source=OTHER, to=VEHICLE) == withheld, "it is not to be asked for now either"
-
-
-@pytest.mark.parametrize("to", [VEHICLE, ANYONE])
-def test_after_an_abort_nothing_is_started_until_the_vehicle_flies_a_plan_of_its_own(to: int) -> None:
-    survey = imc.PlanControlState(PlanState.EXECUTING, "survey")
-    talk = Talk()
-    talk.hear(survey)
-    talk.hear(imc.Abort(), source=OTHER, to=to)
-    assert talk.hear(survey) == [], "of before"
-    for _ in range(2):
-        talk.now_s += 61.0
-        talk.dialect.request(talk.now_s)
-        (event,) = talk.hear(imc.PlanControlState(PlanState.READY), imc.VehicleState(OpMode.SERVICE))
-        assert isinstance(event, Withheld)
-        assert "an Abort came" in event.reason
-        assert talk.sent_of(imc.PlanControl, 3.0) == []
-    talk.hear(survey)
-    talk.take_over()
-
-
-def test_a_plan_stopped_on_board_is_started_again_only_after_a_plan_of_the_vehicles_own() -> None:
-    talk = Talk()
-    talk.take_over()
-    talk.hear(RUNNING)
-    talk.now_s += 3.0
-    stopped = imc.PlanControlState(PlanState.READY, PLAN_ID, last_outcome=2)
-    assert [type(event) for event in talk.hear(imc.VehicleState(OpMode.SERVICE), stopped)] == [Withheld]
-    talk.now_s += 61.0
-    talk.dialect.request(talk.now_s)
-    (event,) = talk.hear(stopped)
-    assert isinstance(event, Withheld)
-    assert "was stopped on board" in event.reason
-    assert talk.sent_of(imc.PlanControl, 3.0) == []
-    talk.hear(imc.PlanControlState(PlanState.EXECUTING, "survey"))
-    talk.take_over()
-
-
-@pytest.mark.parametrize("how", ["released", "not told in time"])
-def test_a_plan_that_the_payload_ended_may_be_followed_by_another(how: str) -> None:
-    talk = Talk()
-    talk.take_over()
-    talk.hear(RUNNING)
-    if how == "released":
-        talk.dialect.release("done", talk.now_s)
-        talk.sent()
-    else:
-        talk.hear(follow_state(state=RefState.TIMEOUT))
-    talk.now_s += 3.0
-    talk.hear(imc.PlanControlState(PlanState.READY, PLAN_ID, last_outcome=2), imc.VehicleState(OpMode.SERVICE))
-    talk.take_over()
-
-
-def test_a_vehicle_that_has_flown_no_plan_yet_is_not_started() -> None:
-    talk = Talk()
-    idle = imc.PlanControlState(PlanState.READY)
-    talk.hear(idle)
-    talk.dialect.request(talk.now_s)
-    (event,) = talk.hear(idle)
-    assert isinstance(event, Withheld)
-    assert "flies no plan" in event.reason
-    assert talk.sent_of(imc.PlanControl, 3.0) == []
-    talk.hear(RUNNING)  # of an earlier run of the payload
-    talk.sent()  # which stops it
-    talk.now_s += 61.0
-    talk.take_over()
-
-
-def test_an_abort_of_another_vehicle_leaves_ours_to_be_asked() -> None:
-    talk = Talk()
-    talk.hear(imc.Abort(), source=US + 1, to=OTHER)
-    talk.now_s += 61.0
-    talk.take_over()
 
 
 def test_states_reported_before_the_take_over_do_not_end_it() -> None:
