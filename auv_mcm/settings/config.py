@@ -83,7 +83,12 @@ class SonarConfig(_Section, frozen=True, kw_only=True):
         ),
     ] = "as_stated"
     beam_width_deg: Annotated[
-        float, Meta(gt=0.0, le=20.0, description="horizontal (along-track) two-way beam width, degrees")
+        float,
+        Meta(
+            gt=0.0,
+            le=20.0,
+            description="horizontal (along-track) two-way beam width, degrees; clearance promises less of a wide one",
+        ),
     ] = 0.5
     lever_arm_m: Annotated[
         tuple[ArmLength, ArmLength, ArmLength],

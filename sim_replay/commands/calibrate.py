@@ -173,9 +173,10 @@ def _run_performance(arguments: argparse.Namespace, show: Show) -> int:
 
     check_new(arguments.out)
     seeds, flights = arguments.seeds or FIT_SEEDS, arguments.flights or FLIGHTS
-    missions = fly_all(seeds, flights, _farm_of(arguments), show, _theatre_of(arguments))
+    theatre = _theatre_of(arguments)
+    missions = fly_all(seeds, flights, _farm_of(arguments), show, theatre)
     looks = [look for mission in missions for look in mission]
-    performance = fit_performance(looks, performance_fit_words(seeds, flights, looks))
+    performance = fit_performance(looks, performance_fit_words(seeds, flights, looks), theatre.beam_width_deg)
     print(performance.fitted_on)
     print("probability that one look finds a mine, its 95 % interval, and looks fitted on\n")
     print(tables(performance))

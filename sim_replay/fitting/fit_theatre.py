@@ -161,7 +161,7 @@ def _steps(train: Callable[[Path], None], farm: Farm) -> Iterator[Step]:
         seeds, flights = performance.FIT_SEEDS, performance.FLIGHTS
         looks = [look for one in performance.fly_all(seeds, flights, farm, show, theatre) for look in one]
         words = performance.performance_fit_words(seeds, flights, looks)
-        write_file(out, json_lines(fit_performance(looks, words), "deterministic"))
+        write_file(out, json_lines(fit_performance(looks, words, theatre.beam_width_deg), "deterministic"))
 
     yield Step("model", _DETECTOR, lambda theatre, out, show: train(out))
     if can_train():

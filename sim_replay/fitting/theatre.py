@@ -8,6 +8,7 @@ from typing import Final, NamedTuple
 
 import msgspec
 
+from auv_mcm.clearance.detection_performance import USUAL_BEAM_DEG
 from auv_mcm.model_file import NONE, SHIPPED
 from auv_mcm.safe_files import read_regular
 from auv_mcm.settings.config import Config
@@ -41,6 +42,13 @@ class Theatre(NamedTuple):
     def flown(self) -> tuple[str, ...]:
         """Name the scenes to fit the cascade's followers on: those that are held out from its training are not."""
         return self.scenes or tuple(name for name in SCENES if name not in HELD_OUT)
+
+    @property
+    def beam_width_deg(self) -> float:
+        """Give the mean beam width of its sonars, or the usual one if that is wider."""
+        usual = USUAL_BEAM_DEG
+        widths = [usual if one.beam_width_deg is None else one.beam_width_deg for one in self.sonars]
+        return max(usual, sum(widths) / len(widths))
 
     def lines_of(self, split: Split) -> list[str]:
         """List the folders of a split."""

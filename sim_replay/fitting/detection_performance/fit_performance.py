@@ -15,7 +15,16 @@ from scipy.special import betaincinv
 
 from auv_mcm.classify.beliefs import MINE_LIKE_P
 from auv_mcm.clearance.clearance_map import HIGHEST_P
-from auv_mcm.clearance.detection_performance import ASPECTS_RAD, FLOORS, RIPPLES, Band, Floor, Performance, aspect_rad
+from auv_mcm.clearance.detection_performance import (
+    ASPECTS_RAD,
+    FLOORS,
+    RIPPLES,
+    USUAL_BEAM_DEG,
+    Band,
+    Floor,
+    Performance,
+    aspect_rad,
+)
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import SEABED_TYPES
 from sim_replay.fitting.detection_performance.closed_form import p_found
@@ -86,8 +95,10 @@ def floors_of(seabed: Ints, look_rad: Array, ripple_rad: Array) -> Ints:
     return np.where(seabed == SEABED_TYPES.index("ripple"), RIPPLES.start + nearest, table[seabed])
 
 
-def fit_performance(looks: Sequence[CellPass], fitted_on: str) -> Performance:
+def fit_performance(looks: Sequence[CellPass], fitted_on: str, beam_width_deg: float = USUAL_BEAM_DEG) -> Performance:
     """Fit the tables, with the altitude's exponent that best predicts left-out missions.
+
+    beam_width_deg: the widest beam that they hold for.
 
     Raises BadInputError if a floor was never looked at, or there are fewer than two missions.
     """
@@ -98,7 +109,7 @@ def fit_performance(looks: Sequence[CellPass], fitted_on: str) -> Performance:
         raise BadInputError(f"{fitted_on}: one mission does not show how missions differ. Fly more, with --seeds")
     exponent = min(_EXPONENTS, key=lambda candidate: surprise_left_out(seen, candidate))
     tables = fitted_tables(seen, exponent, fitted_on)
-    return with_correlations(tables, seen)
+    return with_correlations(msgspec.structs.replace(tables, beam_width_deg=beam_width_deg), seen)
 
 
 def fitted_tables(seen: Outcomes, exponent: float, fitted_on: str) -> Performance:

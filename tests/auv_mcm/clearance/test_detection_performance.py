@@ -18,11 +18,13 @@ from auv_mcm.clearance.detection_performance import (
     Band,
     Performance,
     aspect_rad,
+    configured_performance,
     parse_performance,
     shipped_performance,
 )
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import SEABED_TYPES
+from auv_mcm.settings.config import Config, SonarConfig
 
 EDGES_M = (0.0, 10.0, 20.0, 40.0)
 ALTITUDE_M = 6.0
@@ -54,6 +56,33 @@ def tables(exponent: float = 1.0) -> Performance:
         same_look_correlation=0.4,
         other_look_correlation=0.2,
     )
+
+
+@given(st.floats(0.05, 20.0), st.floats(0.05, 20.0))
+def test_a_wider_beam_finds_less_on_every_floor_and_at_every_range(one_deg: float, other_deg: float) -> None:
+    narrow, wide = (shipped_performance().for_beam(math.radians(width)) for width in sorted((one_deg, other_deg)))
+    for floor in FLOORS:
+        for by_narrow, by_wide in zip(narrow.floors[floor], wide.floors[floor], strict=True):
+            assert 0.0 <= by_wide.low <= by_wide.p <= by_wide.high <= by_narrow.high
+            assert by_wide.p <= by_narrow.p
+
+
+def test_a_beam_no_wider_than_the_tables_and_a_synthetic_aperture_change_nothing() -> None:
+    shipped = shipped_performance()
+    assert (
+        shipped.for_beam(math.radians(0.5)) == shipped.for_beam(math.radians(0.1)) == shipped.for_beam(0.0) == shipped
+    )
+    own = msgspec.structs.replace(shipped, beam_width_deg=1.5)
+    assert own.for_beam(math.radians(1.5)) == own, "as of a sonar that they were fitted for"
+    assert configured_performance(Config(sonar=SonarConfig(kind="sas", beam_width_deg=3.0))) == shipped
+
+
+def test_half_of_mines_on_a_flat_floor_are_left_where_the_beam_covers_a_metre() -> None:
+    narrow = msgspec.structs.replace(tables(), beam_width_deg=1e-6)
+    width_rad = 1.0 / math.hypot(30.0, ALTITUDE_M)
+    assert narrow.for_beam(width_rad).floors["flat"][2].p == pytest.approx(0.5 * 0.7, rel=1e-6)
+    configured = configured_performance(Config(sonar=SonarConfig(beam_width_deg=math.degrees(width_rad))))
+    assert configured == shipped_performance().for_beam(width_rad)
 
 
 def one_by_one(

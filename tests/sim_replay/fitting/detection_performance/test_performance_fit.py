@@ -13,10 +13,17 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from auv_mcm.classify.beliefs import MINE_LIKE_P
-from auv_mcm.clearance.detection_performance import FLOORS, parse_performance
+from auv_mcm.clearance.detection_performance import FLOORS, parse_performance, shipped_performance
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import SEABED_TYPES
-from sim_replay.fitting.detection_performance.calibrate_performance import performance_fit_words, sweep_widths_m, tables
+from sim_replay.fitting.cascade.spec import SonarVariant
+from sim_replay.fitting.detection_performance.calibrate_performance import (
+    Flight,
+    fly_scene,
+    performance_fit_words,
+    sweep_widths_m,
+    tables,
+)
 from sim_replay.fitting.detection_performance.closed_form import p_found
 from sim_replay.fitting.detection_performance.fit_performance import (
     EDGES_M,
@@ -33,6 +40,7 @@ from sim_replay.fitting.detection_performance.fit_performance import (
     smooth_bands,
 )
 from sim_replay.fitting.detection_performance.looks import CellPass
+from sim_replay.fitting.theatre import Theatre
 from sim_replay.text_tables import json_lines
 
 Array = NDArray[np.float64]
@@ -233,3 +241,14 @@ def test_the_closed_form_is_a_probability_and_no_better_over_a_restless_floor(
 def test_no_outcomes_are_no_outcomes() -> None:
     empty: Outcomes = outcomes([])
     assert all(len(column) == 0 for column in empty)
+
+
+def test_tables_for_a_wide_beam_promise_what_it_finds() -> None:
+    """Over a drawn world that no table was fitted on; the tables as they are promise 0.3 more."""
+    width_deg = 1.3
+    looks = outcomes(fly_scene(Flight(958, 0), Theatre(sonars=(SonarVariant(beam_width_deg=width_deg),))))
+    narrow = shipped_performance()
+    places = looks.seabed, looks.ground_range_m, looks.altitude_m, looks.look_rad, looks.ripple_rad
+    narrow_p, wide_p = (float(one.p_look(*places).mean()) for one in (narrow, narrow.for_beam(math.radians(width_deg))))
+    assert float(looks.found.mean()) == pytest.approx(wide_p, abs=0.1)
+    assert narrow_p > wide_p + 0.2
