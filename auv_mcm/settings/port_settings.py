@@ -53,7 +53,12 @@ class NavUnitSettings(_Settings, frozen=True, kw_only=True):
     pitch_sign: Annotated[Sign, Meta(description="-1 for a unit whose pitch is positive bow down")] = 1
     roll_sign: Annotated[Sign, Meta(description="-1 for a unit whose roll is positive port down")] = 1
     heading_offset_deg: Annotated[
-        Offset, Meta(description="mounting angle against the vehicle's bow, clockwise, degrees")
+        Offset,
+        Meta(
+            description="added to its heading, degrees; of a unit that gives velocities along its own axes, how far "
+            "clockwise these are turned from the vehicle's bow. A turned unit that gives both serves for one of them: "
+            "see delivers"
+        ),
     ] = 0.0
     pitch_offset_deg: Offset = 0.0
     roll_offset_deg: Offset = 0.0
