@@ -3,6 +3,7 @@ ports."""
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable
 from typing import Literal, NamedTuple, Protocol, TypeAlias, runtime_checkable
@@ -53,13 +54,18 @@ class VehiclePilot(Protocol):
 
 
 class PortState(NamedTuple):
-    """Describe a port. discarded_bytes: received and not decoded. age_s: since the last byte; infinite if none came."""
+    """Describe a port.
+
+    discarded_bytes: received and not decoded. age_s, ping_age_s: since the last byte and, of a sonar, the last ping;
+    infinite if none came. ping_age_s is NaN of a port without a sonar.
+    """
 
     name: str
     state: Literal["up", "silent", "down"]
     received_bytes: int
     discarded_bytes: int
     age_s: float
+    ping_age_s: float = math.nan
 
 
 class QuantityState(NamedTuple):

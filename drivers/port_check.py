@@ -100,7 +100,7 @@ class _Listener:
         serving = asyncio.ensure_future(link.run())
         try:
             await self._wait(lambda: self._is_open or bool(self._failure), _OPEN_S)
-            if self._is_open and not self._is_for_commands:
+            if self._is_open and not self._port.is_for_commands:
                 await self._wait(lambda: self._has_enough() or bool(self._failure), listen_s)
         finally:
             failure = self._failure
@@ -112,11 +112,6 @@ class _Listener:
         ends_s = self._clock.monotonic_s() + longest_s
         while not condition() and self._clock.monotonic_s() < ends_s:
             await asyncio.sleep(_PATIENCE_S)
-
-    @property
-    def _is_for_commands(self) -> bool:
-        """Return whether a sonar takes commands here and sends its pings elsewhere."""
-        return self._port.is_sonar and self._port.unit is None and self._port.name.endswith(".commands")
 
     def _hear(self, data: bytes, stamp: Stamp) -> None:
         self._n_bytes += len(data)
@@ -152,7 +147,7 @@ class _Listener:
             return self._judged(
                 "FAILED", f"did not open within {_OPEN_S:g} s. Check the device's power, its cable and its address"
             )
-        if self._is_for_commands:
+        if self._port.is_for_commands:
             return self._judged("ok", "accepts a connection; nothing was sent")
         if n_messages := self._n_messages():
             return self._heard_verdict(n_messages)

@@ -34,6 +34,8 @@ class PortIntake:
     Navigation comes out in order of time, a fraction of a second after it was measured; each sonar's pings in order of
     theirs. Both are in the UTC of this computer, or of the unit that gives UTC, at the arrival of the bytes; slewed for
     small corrections, with a notice for a step.
+
+    pinged_ns: by a sonar's port, monotonic time of the bytes that its newest ping came with.
     """
 
     def __init__(self, config: Config) -> None:
@@ -47,6 +49,7 @@ class PortIntake:
         self._heads = HeadPairer() if {"port", "starboard"} <= {port.sides for port in ports} else None
         self._merge = NavMerge(merge_settings(config, ports))
         self._own: Counter[str] = Counter()
+        self.pinged_ns: dict[str, int] = {}
 
     @property
     def counters(self) -> Counter[str]:
@@ -72,7 +75,10 @@ class PortIntake:
             if stream is None:
                 self._own["intake.unknown_port"] += 1
             else:
-                events += self._merged(stream.feed(data, stamp))
+                decoded = stream.feed(data, stamp)
+                if any(isinstance(item, Ping) for item in decoded):
+                    self.pinged_ns[port] = stamp.mono_ns
+                events += self._merged(decoded)
         return events + self._survived(self._merge.advance, stamp)
 
     def heard(self, port: str) -> list[VehicleMessage]:

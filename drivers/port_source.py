@@ -135,6 +135,9 @@ class PortSource:
                 received_bytes=port.received_bytes,
                 discarded_bytes=self._backlog.n_refused[port.name],
                 age_s=(now_ns - port.received_ns) * 1e-9 if port.received_bytes else math.inf,
+                ping_age_s=(now_ns - self._intake.pinged_ns.get(port.name, -math.inf)) * 1e-9
+                if port.gives_pings
+                else math.nan,
             )
             for port in self._ports
         )
@@ -279,6 +282,10 @@ class _ServedPort:
     @property
     def state(self) -> LinkState:
         return self._link.state
+
+    @property
+    def gives_pings(self) -> bool:
+        return self._port.is_sonar and not self._port.is_for_commands
 
     @property
     def counters(self) -> Counter[str]:

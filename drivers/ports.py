@@ -51,6 +51,11 @@ class PortSettings(NamedTuple):
     vehicle: VehicleSettings | None = None
 
     @property
+    def is_for_commands(self) -> bool:
+        """Return whether a sonar takes commands here and sends its pings elsewhere."""
+        return self.is_sonar and self.unit is None and self.name.endswith(".commands")
+
+    @property
     def is_bus(self) -> bool:
         """Return whether it carries CAN frames instead of bytes."""
         return isinstance(self.address, CanAddress | SlcanAddress)

@@ -215,7 +215,7 @@ def test_states_are_reported_and_shown() -> None:
     assert bench.states() == [("sonar", "down"), ("gnss", "down")]
     bench.run(
         bench.state_is("sonar", "silent"),
-        lambda: bench.wires["sonar"].send(profile(1, 0, 0.0)),
+        lambda: bench.wires["sonar"].send(profile(1, 0, 0.0) + profile(1, 1, 0.0)),
         bench.state_is("sonar", "up"),
         lambda: setattr(bench.wires["sonar"], "plugged", False),
         bench.state_is("sonar", "down"),
@@ -226,6 +226,7 @@ def test_states_are_reported_and_shown() -> None:
         "a port that opens asks nothing of anybody"
     )
     assert "the wire was pulled; plug it in again" in reported[3].text
+    assert 0.0 <= bench.source.health().ports[0].ping_age_s < GENEROUS_S
 
 
 def test_health_has_what_each_port_received_and_who_serves_position() -> None:
@@ -246,6 +247,8 @@ def test_health_has_what_each_port_received_and_who_serves_position() -> None:
     sonar, gnss = bench.source.health().ports
     assert (sonar.received_bytes, gnss.received_bytes, gnss.discarded_bytes) == (0, len(data), 0)
     assert 0.0 <= gnss.age_s < GENEROUS_S
+    assert math.isnan(gnss.ping_age_s)
+    assert sonar.ping_age_s == math.inf
 
 
 def test_a_wire_that_comes_and_goes_is_reported_of_so_often_only(monkeypatch: pytest.MonkeyPatch) -> None:

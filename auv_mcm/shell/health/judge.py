@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from auv_mcm.shell.check.host import NEEDED_BYTES, PLENTY_BYTES
 from auv_mcm.shell.health.record import Part
 from auv_mcm.source import SourceHealth
+
+_NO_PING_S: Final = 10.0  # s without a ping: sound takes 7 s to 5 km and back, beyond every side scan
 
 
 class Process(NamedTuple):
@@ -137,6 +139,8 @@ def _ports(now: Measured, before: Measured, span_s: float) -> list[Part]:
     for port in now.source.ports:
         last = earlier.get(port.name, port)
         faults = [] if port.state == "up" else [f"port_{port.state}"]
+        if port.state == "up" and min(port.ping_age_s, now.uptime_s) > _NO_PING_S:
+            faults.append("no_pings")
         flaws = ["port_discards"] if port.discarded_bytes > last.discarded_bytes else []
         parts.append(
             Part(
@@ -147,6 +151,7 @@ def _ports(now: Measured, before: Measured, span_s: float) -> list[Part]:
                     received_bytes_total=port.received_bytes,
                     received_bytes_hz=(port.received_bytes - last.received_bytes) / span_s if span_s > 0 else math.nan,
                     age_s=port.age_s,
+                    ping_age_s=port.ping_age_s,
                 ),
             )
         )

@@ -9,7 +9,7 @@ from auv_mcm.shell.health.judge import Computer, Measured, Process, judge
 from auv_mcm.shell.health.record import Health, Part
 from auv_mcm.source import PortState, QuantityState, SourceHealth
 
-PORT = PortState("sonar", "up", received_bytes=1000, discarded_bytes=0, age_s=0.2)
+PORT = PortState("sonar", "up", received_bytes=1000, discarded_bytes=0, age_s=0.2, ping_age_s=0.3)
 POSITION = QuantityState("position", served_by="gps", age_s=0.1)
 COMPUTER = Computer(free_bytes=5e9, temperature_c=50.0, hot_c=90.0)
 

@@ -13,8 +13,9 @@ from auv_mcm.source import QuantityState, SourceHealth
 from tests.auv_mcm.shell.health.measurements import COMPUTER, LATER, NEVER, PORT, POSITION, WELL, part, record
 
 
-def ports(*, state: str = "up", discarded_bytes: int = 0) -> SourceHealth:
-    return SourceHealth((PORT._replace(state=state, discarded_bytes=discarded_bytes),), (POSITION,))  # type: ignore[arg-type]
+def ports(*, state: str = "up", discarded_bytes: int = 0, ping_age_s: float = 0.3) -> SourceHealth:
+    port = PORT._replace(state=state, discarded_bytes=discarded_bytes, ping_age_s=ping_age_s)  # type: ignore[arg-type]
+    return SourceHealth((port,), (POSITION,))
 
 
 TROUBLES: list[tuple[Measured, str, State, str]] = [
@@ -30,6 +31,7 @@ TROUBLES: list[tuple[Measured, str, State, str]] = [
     (LATER._replace(source=ports(state="down")), "port.sonar", "fault", "port_down"),
     (LATER._replace(source=ports(state="silent")), "port.sonar", "fault", "port_silent"),
     (LATER._replace(source=ports(discarded_bytes=9)), "port.sonar", "degraded", "port_discards"),
+    (LATER._replace(source=ports(ping_age_s=math.inf)), "port.sonar", "fault", "no_pings"),
     (
         LATER._replace(source=SourceHealth((PORT,), (POSITION._replace(served_by=""),))),
         "navigation.position",
@@ -77,6 +79,13 @@ def test_what_was_lost_before_the_period_is_no_reason_any_more() -> None:
     assert {part.state for part in judge(LATER._replace(counters=counted), WELL._replace(counters=counted))} == {
         "normal"
     }
+
+
+def test_pings_may_take_as_long_as_sound_does_and_a_while_to_begin() -> None:
+    far = LATER._replace(source=ports(ping_age_s=9.0))
+    early = LATER._replace(uptime_s=9.0, source=ports(ping_age_s=math.inf))
+    other = LATER._replace(source=ports(ping_age_s=math.nan))
+    assert [part("port.sonar", now).reasons for now in (far, early, other)] == [()] * 3
 
 
 def test_a_source_that_waits_on_purpose_is_neither_behind_nor_stalled() -> None:
