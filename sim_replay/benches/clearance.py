@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 
 from auv_mcm.clearance.clearance_map import Clearance, ClearanceMap
-from auv_mcm.clearance.detection_performance import shipped_performance
+from auv_mcm.clearance.detection_performance import configured_performance
 from auv_mcm.clearance.residual import remaining_about, remaining_mines
 from auv_mcm.contacts.contact import is_mine_like
 from auv_mcm.geometry.geodesy import LocalFrame
@@ -57,9 +57,9 @@ class JudgedClearance(msgspec.Struct, frozen=True, kw_only=True):
 
 def fly(task: Task) -> dict[str, JudgedClearance]:
     """Fly one mission with the whole chain, with its mines or without."""
-    searched = ClearanceMap(shipped_performance())
     change = without_mines if task.options["without_mines"] else lambda scene: scene
     with mission_source(task, change) as source:
+        searched = ClearanceMap(configured_performance(source.config))
         pipeline = Pipeline(source.config)
         fly_through(
             source.events, {CHAIN: pipeline}, lambda one: searched.add(one) if isinstance(one, CoveragePatch) else None

@@ -19,7 +19,7 @@ import numpy as np
 
 from auv_mcm.clearance.area import AreaState, area_state, over_area
 from auv_mcm.clearance.clearance_map import ClearanceMap
-from auv_mcm.clearance.detection_performance import shipped_performance
+from auv_mcm.clearance.detection_performance import configured_performance
 from auv_mcm.errors import UsageError
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.pipeline import Pipeline
@@ -149,8 +149,8 @@ class _Search:
     def __init__(self, scene: Scene, config: Config, lanes: Sequence[Leg]) -> None:
         self._scene, self._config = scene, config
         self._mission, self._pipeline = Mission(scene), Pipeline(config)
-        self._searched = ClearanceMap(shipped_performance())
-        self._area, self._again = ClearArea(config, shipped_performance()), LookAgain(config)
+        self._searched = ClearanceMap(configured_performance(config))
+        self._area, self._again = ClearArea(config, configured_performance(config)), LookAgain(config)
         self._is_planned = not lanes
         self._frame = local_frame(scene.origin)
         self._way: list[tuple[float, float]] = []  # time, metres sailed
