@@ -51,6 +51,7 @@ class FollowedVehicle:
         self._aborted_s = -math.inf
         self._withheld = ""  # why it is not asked, until it flies a plan of its own
         self._flew = self._flies_ours = False  # any plan was reported to run; the payload's runs
+        self._plan_before = self._sent_on = ""  # plans of the vehicle: before the payload's, and in its place
         self.is_left = False  # by the payload, which ends its own plan
         self.restart()
 
@@ -88,7 +89,18 @@ class FollowedVehicle:
             self._flew = self._flies_ours = True
             self._withheld = self._withheld if self._withheld != _IDLE else ""
         elif message.state == PlanState.EXECUTING and now_s - self._aborted_s >= _ABORTS_S:
-            self._flew, self._withheld = True, ""
+            self._flies_plan(message.plan_id)
+
+    def _flies_plan(self, plan_id: str) -> None:
+        """Take that the vehicle flies another plan than the payload's: one it was sent on instead is left alone."""
+        if self._flies_ours and not self.is_left and self._plan_before not in ("", plan_id):
+            self._sent_on = plan_id
+        if plan_id == self._sent_on:
+            self._withheld = f"the vehicle was sent on plan {plan_id} instead"
+        else:
+            self._withheld = self._sent_on = ""
+            self._plan_before = plan_id
+        self._flew, self._flies_ours = True, False
 
     @property
     def may_be_asked(self) -> bool:
@@ -98,7 +110,7 @@ class FollowedVehicle:
     @property
     def why_not(self) -> str:
         """Say why the vehicle is not asked for control, "" where it may be."""
-        again = "control is requested once it flies a plan of its own"
+        again = f"control is requested once it flies {'another' if self._sent_on else 'a plan of its own'}"
         return self.doubt or (f"{self._withheld}: {again}" if self._withheld else "")
 
     @property

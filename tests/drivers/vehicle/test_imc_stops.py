@@ -49,6 +49,30 @@ def test_a_plan_stopped_on_board_is_started_again_only_after_a_plan_of_the_vehic
     talk.take_over()
 
 
+def test_a_vehicle_sent_on_another_plan_is_left_alone_until_it_flies_a_further_one() -> None:
+    survey, home = (imc.PlanControlState(PlanState.EXECUTING, plan) for plan in ("survey", "home"))
+    talk = Talk()
+    talk.hear(survey)
+    talk.take_over()
+    talk.hear(OURS)
+    talk.now_s += 3.0
+    assert [type(event) for event in talk.hear(home)] == [Withheld]
+    for state in (home, imc.PlanControlState(PlanState.READY, "home", last_outcome=1)):
+        talk.now_s += 61.0
+        talk.dialect.request(talk.now_s)
+        (event,) = talk.hear(state)
+        assert isinstance(event, Withheld)
+        assert "was sent on plan home instead" in event.reason
+        assert talk.sent_of(imc.PlanControl, 3.0) == []
+    talk.hear(survey)
+    talk.take_over()
+    talk.hear(OURS)
+    talk.now_s += 3.0
+    assert [type(event) for event in talk.hear(survey)] == [Withheld], "but it goes on with the plan of before"
+    talk.now_s += 61.0
+    talk.take_over()
+
+
 @pytest.mark.parametrize("how", ["released", "too late"])
 def test_a_plan_that_the_payload_ended_may_be_followed_by_another(how: str) -> None:
     talk = Talk()

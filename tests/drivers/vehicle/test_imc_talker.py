@@ -365,7 +365,8 @@ def test_whatever_was_heard_the_next_request_can_be_granted(steps: list[tuple[fl
         talk.sent()
     talk.dialect.release("done", talk.now_s)
     talk.now_s += 3.0
-    talk.hear(imc.PlanControlState(PlanState.EXECUTING, "survey"))  # which an Abort may have to wait for
+    for plan in ("further", "survey"):  # which an Abort, or a plan that it was sent on, may have to wait for
+        talk.hear(imc.PlanControlState(PlanState.EXECUTING, plan))
     talk.sent()
     talk.dialect.request(talk.now_s)
     (start,) = [message for message in talk.sent_of(imc.PlanControl) if message.op == PlanOp.START]
