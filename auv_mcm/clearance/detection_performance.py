@@ -104,9 +104,10 @@ class Performance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
                 raise ValueError(f"floors: {floor} has {len(bands)} bands where edges_m makes {len(self.edges_m) - 1}")
 
     def for_beam(self, beam_width_rad: float) -> Performance:
-        """Give the tables of a beam: a wider one than theirs blurs along the track what it finds mines by.
+        """Give the tables for a beam: the wider its footprint along the track, the fewer mines are found.
 
-        By the footprint w, m, at the middle of a band, 1 / (1 + (w / w_half)^_LOSS_POWER) of mines are left.
+        Of a footprint w, m, at the middle of a band, 1 / (1 + (w / w_half)^_LOSS_POWER) of what a narrow beam finds is
+        left. A beam no wider than theirs, or 0 for a synthetic aperture, gives the tables as they are.
         """
         if beam_width_rad <= math.radians(self.beam_width_deg):
             return self

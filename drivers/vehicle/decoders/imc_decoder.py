@@ -89,10 +89,10 @@ class FollowedVehicle:
             self._flew = self._flies_ours = True
             self._withheld = self._withheld if self._withheld != _IDLE else ""
         elif message.state == PlanState.EXECUTING and now_s - self._aborted_s >= _ABORTS_S:
-            self._flies_plan(message.plan_id)
+            self._take_own_plan(message.plan_id)
 
-    def _flies_plan(self, plan_id: str) -> None:
-        """Take that the vehicle flies another plan than the payload's: one it was sent on instead is left alone."""
+    def _take_own_plan(self, plan_id: str) -> None:
+        """Take the plan of its own that the vehicle flies; one that took the place of the payload's is left alone."""
         if self._flies_ours and not self.is_left and self._plan_before not in ("", plan_id):
             self._sent_on = plan_id
         if plan_id == self._sent_on:

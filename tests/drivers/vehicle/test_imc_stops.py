@@ -14,6 +14,15 @@ from tests.drivers.vehicle.imc_talk import OTHER, US, VEHICLE, Talk, follow_stat
 OURS = imc.PlanControlState(PlanState.EXECUTING, PLAN_ID)
 
 
+def assert_not_asked(talk: Talk, why: str, *heard: imc.ImcMessage) -> None:
+    """A request comes to nothing, and says why, while the vehicle reports this."""
+    talk.dialect.request(talk.now_s)
+    (event,) = talk.hear(*heard)
+    assert isinstance(event, Withheld)
+    assert why in event.reason
+    assert talk.sent_of(imc.PlanControl, 3.0) == []
+
+
 @pytest.mark.parametrize("to", [VEHICLE, ANYONE])
 def test_after_an_abort_nothing_is_started_until_the_vehicle_flies_a_plan_of_its_own(to: int) -> None:
     survey = imc.PlanControlState(PlanState.EXECUTING, "survey")
@@ -23,11 +32,8 @@ def test_after_an_abort_nothing_is_started_until_the_vehicle_flies_a_plan_of_its
     assert talk.hear(survey) == [], "of before"
     for _ in range(2):
         talk.now_s += 61.0
-        talk.dialect.request(talk.now_s)
-        (event,) = talk.hear(imc.PlanControlState(PlanState.READY), imc.VehicleState(OpMode.SERVICE))
-        assert isinstance(event, Withheld)
-        assert "an Abort came" in event.reason
-        assert talk.sent_of(imc.PlanControl, 3.0) == []
+        idle = imc.PlanControlState(PlanState.READY), imc.VehicleState(OpMode.SERVICE)
+        assert_not_asked(talk, "an Abort came", *idle)
     talk.hear(survey)
     talk.take_over()
 
@@ -40,11 +46,7 @@ def test_a_plan_stopped_on_board_is_started_again_only_after_a_plan_of_the_vehic
     stopped = imc.PlanControlState(PlanState.READY, PLAN_ID, last_outcome=2)
     assert [type(event) for event in talk.hear(imc.VehicleState(OpMode.SERVICE), stopped)] == [Withheld]
     talk.now_s += 61.0
-    talk.dialect.request(talk.now_s)
-    (event,) = talk.hear(stopped)
-    assert isinstance(event, Withheld)
-    assert "was stopped on board" in event.reason
-    assert talk.sent_of(imc.PlanControl, 3.0) == []
+    assert_not_asked(talk, "was stopped on board", stopped)
     talk.hear(imc.PlanControlState(PlanState.EXECUTING, "survey"))
     talk.take_over()
 
@@ -59,11 +61,7 @@ def test_a_vehicle_sent_on_another_plan_is_left_alone_until_it_flies_a_further_o
     assert [type(event) for event in talk.hear(home)] == [Withheld]
     for state in (home, imc.PlanControlState(PlanState.READY, "home", last_outcome=1)):
         talk.now_s += 61.0
-        talk.dialect.request(talk.now_s)
-        (event,) = talk.hear(state)
-        assert isinstance(event, Withheld)
-        assert "was sent on plan home instead" in event.reason
-        assert talk.sent_of(imc.PlanControl, 3.0) == []
+        assert_not_asked(talk, "was sent on plan home instead", state)
     talk.hear(survey)
     talk.take_over()
     talk.hear(OURS)
@@ -92,11 +90,7 @@ def test_a_vehicle_that_has_flown_no_plan_yet_is_not_started() -> None:
     talk = Talk()
     idle = imc.PlanControlState(PlanState.READY)
     talk.hear(idle)
-    talk.dialect.request(talk.now_s)
-    (event,) = talk.hear(idle)
-    assert isinstance(event, Withheld)
-    assert "flies no plan" in event.reason
-    assert talk.sent_of(imc.PlanControl, 3.0) == []
+    assert_not_asked(talk, "flies no plan", idle)
     talk.hear(OURS)  # of an earlier run of the payload
     talk.sent()  # which stops it
     talk.now_s += 61.0

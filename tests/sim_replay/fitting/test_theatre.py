@@ -82,6 +82,12 @@ def test_missions_carry_the_sonars_in_turn_and_show_the_picture_configured(theat
     assert served_by("contrast", by_cascade).confirm.odds == "shipped", "those are the cascade's"
 
 
+def test_tables_hold_for_the_mean_beam_of_the_sonars_and_for_the_usual_one_at_least() -> None:
+    wide, narrow, unsaid = (SonarVariant(beam_width_deg=width) for width in (2.5, 0.2, None))
+    assert USUAL.beam_width_deg == Theatre(sonars=(narrow,)).beam_width_deg == 0.5
+    assert Theatre(sonars=(wide, unsaid)).beam_width_deg == 1.5
+
+
 def test_missions_show_nothing_beyond_the_reach_of_the_sonar_carried(theatre: Theatre) -> None:
     near = theatre._replace(sonars=(SonarVariant(range_m=40.0),))
     check_scene(near.carried(read_scene("flat"), 0)[0], "flat")  # whose objects lie up to 46 m away
