@@ -27,6 +27,7 @@ _EXTRAS = {
     "bench,dev": {"matplotlib", "PIL"},
 }
 """Packages that commands need, by what to install for them."""
+_LARGE_PRODUCTS = (["train"], ["calibrate"])  # commands that multiply large matrices
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -35,6 +36,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # what the terminal's encoding lacks is no reason to fail
     words = list(sys.argv[1:] if argv is None else argv)
+    if words[:1] not in _LARGE_PRODUCTS:
+        # Read when numpy is loaded. Its threads begin by waiting busily, 25 ms of a core each, for products of matrices
+        # that are too small to be shared.
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if words[:2] == ["train", "--"]:
         del words[1]  # scripts of earlier versions need it, where options of the training come first
     try:

@@ -472,3 +472,13 @@ def test_the_self_check_speaks_json_a_finding_a_line(
     assert code == 5
     assert {tuple(one) for one in found} == {("name", "verdict", "detail")}
     assert [one["name"] for one in found if one["verdict"] == "FAILED"] == ["log missing.xtf"]
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").is_file(), reason="this system does not count threads in /proc")
+def test_a_command_begins_no_threads_for_products_of_matrices(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
+    code = (
+        "import sys; from auv_mcm.cli import main; main(sys.argv[1:]); import numpy; "
+        "print(open('/proc/self/status').read().partition('Threads:')[2].split()[0])"
+    )
+    assert run("config", "--schema", code=code).stdout.splitlines()[-1] == "1"
