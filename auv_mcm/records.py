@@ -423,7 +423,8 @@ class SeabedCells(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     last ones may be cut short. Arrays are (n_along, n_across): kind uint8, index into SEABED_TYPES; confidence float32,
     posterior probability of it, 0 where too little was measured to decide (the kind is `unknown` there). ripple_rad
     float32: compass direction in which crests follow one another, [0, pi), wavelength_m float32: their distance; both
-    NaN where there are no ripples.
+    NaN where there are no ripples. unevenness_db float32: standard deviation of the mean echoes of cells, within three
+    cells of this one, NaN where too little was measured.
     """
 
     cell_m: tuple[float, float]
@@ -431,6 +432,7 @@ class SeabedCells(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     confidence: NDArray[np.float32]
     ripple_rad: NDArray[np.float32]
     wavelength_m: NDArray[np.float32]
+    unevenness_db: NDArray[np.float32]
 
 
 class SurveyedCells(msgspec.Struct, frozen=True, kw_only=True, eq=False):
@@ -441,8 +443,8 @@ class SurveyedCells(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     Every array is (n,). Cell (east_index, north_index) int32 spans [index, index + 1) * cell_m. fraction float32: of
     its area that earned coverage here, times what the detector's budget allowed for. Means over that area, float32:
     ground_range_m, altitude_m, look_rad (compass direction from the sonar to it, [0, 2 pi)). seabed uint8: index into
-    SEABED_TYPES of the kind that most of it is; confidence float32; ripple_rad, wavelength_m float32 as in
-    `SeabedCells`.
+    SEABED_TYPES of the kind that most of it is; confidence float32; ripple_rad, wavelength_m, unevenness_db
+    float32 as in `SeabedCells`.
     """
 
     origin_latitude_deg: float
@@ -458,6 +460,7 @@ class SurveyedCells(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     confidence: NDArray[np.float32]
     ripple_rad: NDArray[np.float32]
     wavelength_m: NDArray[np.float32]
+    unevenness_db: NDArray[np.float32]
 
 
 class CoveragePatch(msgspec.Struct, frozen=True, kw_only=True, eq=False):

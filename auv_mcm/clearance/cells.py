@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,7 +91,6 @@ def surveyed_cells(
     look = blocks.look_m / np.maximum(np.hypot(blocks.look_m[:, 0], blocks.look_m[:, 1]), 1e-9)[:, np.newaxis]
     look_rad = np.mod(np.arctan2(mean(look[:, 0]), mean(look[:, 1])), 2.0 * math.pi)
     altitude_m = tile.first_return_m[np.minimum(np.rint(blocks.row).astype(int), len(tile.first_return_m) - 1)]
-    kind, confidence, ripple_rad, wavelength_m = _seabed(seabed, tile, blocks, cells)
     return SurveyedCells(
         origin_latitude_deg=frame.latitude_deg,
         origin_longitude_deg=frame.longitude_deg,
@@ -102,10 +101,7 @@ def surveyed_cells(
         ground_range_m=mean(blocks.ground_m).astype(np.float32),
         altitude_m=mean(altitude_m).astype(np.float32),
         look_rad=np.where(look_rad >= 2.0 * math.pi, 0.0, look_rad).astype(np.float32),
-        seabed=kind,
-        confidence=confidence,
-        ripple_rad=ripple_rad,
-        wavelength_m=wavelength_m,
+        **_seabed(seabed, tile, blocks, cells),
     )
 
 
@@ -141,15 +137,15 @@ def _placed(tile: Tile, row: Array, ground_m: float, sonar: SonarConfig, frame: 
     return frame.to_enu(latitude, longitude, height)[:, :2]
 
 
-def _seabed(
-    seabed: SeabedCells | None, tile: Tile, blocks: _Blocks, cells: _Cells
-) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-    """Give the commonest kind of sea floor per cell, its mean confidence, and the axial mean of its ripples."""
+def _seabed(seabed: SeabedCells | None, tile: Tile, blocks: _Blocks, cells: _Cells) -> dict[str, Any]:
+    """Give the commonest kind of sea floor per cell, its mean confidence, the axial mean of its ripples, and how uneven
+    all of it is; by their names in `SurveyedCells`."""
     n_kept, area_m2 = len(cells.kept), blocks.area_m2
     if seabed is None:
         unknown = np.full(n_kept, SEABED_TYPES.index("unknown"), dtype=np.uint8)
         nothing = np.full(n_kept, NAN, dtype=np.float32)
-        return unknown, np.zeros(n_kept, dtype=np.float32), nothing, nothing
+        names = ("ripple_rad", "wavelength_m", "unevenness_db")
+        return {"seabed": unknown, "confidence": np.zeros(n_kept, dtype=np.float32), **dict.fromkeys(names, nothing)}
     n_along, n_across = seabed.kind.shape
     along = np.clip(
         ((blocks.row - tile.core_start + 0.5) * tile.row_spacing_m // seabed.cell_m[0]).astype(int), 0, n_along - 1
@@ -172,9 +168,13 @@ def _seabed(
     is_rippled = rippled > 0.0
     direction = np.mod(0.5 * np.arctan2(sine, cosine), math.pi)
     wavelength = cells.sums(weight * np.nan_to_num(seabed.wavelength_m[along, across])) / np.maximum(rippled, 1e-12)
-    return (
-        commonest.astype(np.uint8),
-        confidence.astype(np.float32),
-        np.where(is_rippled, np.where(direction >= math.pi, 0.0, direction), NAN).astype(np.float32),
-        np.where(is_rippled, wavelength, NAN).astype(np.float32),
-    )
+    uneven_db = seabed.unevenness_db[along, across].astype(np.float64)
+    measured_m2 = cells.sums(np.where(np.isfinite(uneven_db), area_m2, 0.0))
+    uneven_db = cells.sums(area_m2 * np.nan_to_num(uneven_db)) / np.maximum(measured_m2, 1e-12)
+    columns = {
+        "confidence": confidence,
+        "ripple_rad": np.where(is_rippled, np.where(direction >= math.pi, 0.0, direction), NAN),
+        "wavelength_m": np.where(is_rippled, wavelength, NAN),
+        "unevenness_db": np.where(measured_m2 > 0.0, uneven_db, NAN),
+    }
+    return {"seabed": commonest.astype(np.uint8)} | {name: one.astype(np.float32) for name, one in columns.items()}

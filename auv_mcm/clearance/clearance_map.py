@@ -55,6 +55,7 @@ class LookModel(Protocol):
         altitude_m: NDArray[np.float32],
         look_rad: NDArray[np.float32],
         ripple_rad: NDArray[np.float32],
+        unevenness_db: NDArray[np.float32],
     ) -> Array:
         """Compute the probability that one view of the whole of a cell finds a mine there, (n,).
 
@@ -70,9 +71,9 @@ class Clearance(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
     exponent float64: miss exponent, 0 where nothing was seen. share float32: how much of the cell was seen, 0 to 1,
     overlap once. looks uint8: passes that saw something of the cell. towards uint64: the directions they looked in, as
-    `look_bit` has them. seabed uint8, ripple_rad, wavelength_m float32: as the surest look has it, weighted by how much
-    of the cell it saw. altitude_m float32: mean over looks. Where nothing was seen these are `unknown` and NaN.
-    n_elsewhere: cells seen too far from the others to be laid out in one box with them.
+    `look_bit` has them. seabed uint8, ripple_rad, wavelength_m, unevenness_db float32: as the surest look has it,
+    weighted by how much of the cell it saw. altitude_m float32: mean over looks. Where nothing was seen these are
+    `unknown` and NaN. n_elsewhere: cells seen too far from the others to be laid out in one box with them.
     """
 
     origin_latitude_deg: float
@@ -87,6 +88,7 @@ class Clearance(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     seabed: NDArray[np.uint8]
     ripple_rad: NDArray[np.float32]
     wavelength_m: NDArray[np.float32]
+    unevenness_db: NDArray[np.float32]
     altitude_m: NDArray[np.float32]
     n_elsewhere: int = 0
 
@@ -164,7 +166,14 @@ class ClearanceMap:
                 "patches of two missions: their cells lie in different planes. Give each mission a map of its own"
             )
         p = np.clip(
-            self._model.p_look(cells.seabed, cells.ground_range_m, cells.altitude_m, cells.look_rad, cells.ripple_rad),
+            self._model.p_look(
+                cells.seabed,
+                cells.ground_range_m,
+                cells.altitude_m,
+                cells.look_rad,
+                cells.ripple_rad,
+                cells.unevenness_db,
+            ),
             0.0,
             HIGHEST_P,
         )
@@ -270,8 +279,7 @@ class ClearanceMap:
         # The surest view decides what kind of sea floor it is; of equals the first.
         confidence = np.full(shape, -1.0, dtype=np.float32)
         seabed = np.full(shape, SEABED_TYPES.index("unknown"), dtype=np.uint8)
-        ripple = np.full(shape, np.nan, dtype=np.float32)
-        wavelength = np.full(shape, np.nan, dtype=np.float32)
+        ripple, wavelength, unevenness = (np.full(shape, np.nan, dtype=np.float32) for _ in range(3))
         altitude, weight = np.zeros(shape), np.zeros(shape)
         for look in self._looks:
             row, column = look.cells.north_index - first_north, look.cells.east_index - first_east
@@ -285,6 +293,7 @@ class ClearanceMap:
                 (seabed, look.cells.seabed),
                 (ripple, look.cells.ripple_rad),
                 (wavelength, look.cells.wavelength_m),
+                (unevenness, look.cells.unevenness_db),
             ):
                 layer[surer] = values[inside][better]
             fraction = look.cells.fraction[inside].astype(np.float64)
@@ -304,6 +313,7 @@ class ClearanceMap:
             seabed=seabed,
             ripple_rad=ripple,
             wavelength_m=wavelength,
+            unevenness_db=unevenness,
             altitude_m=np.divide(altitude, weight, out=np.full(shape, np.nan), where=weight > 0.0).astype(np.float32),
             n_elsewhere=n_elsewhere,
         )
@@ -338,6 +348,7 @@ def unsearched(origin_latitude_deg: float, origin_longitude_deg: float, cell_m: 
         seabed=np.zeros((0, 0), dtype=np.uint8),
         ripple_rad=np.zeros((0, 0), dtype=np.float32),
         wavelength_m=np.zeros((0, 0), dtype=np.float32),
+        unevenness_db=np.zeros((0, 0), dtype=np.float32),
         altitude_m=np.zeros((0, 0), dtype=np.float32),
     )
 
@@ -361,6 +372,6 @@ def clearance_over(clearance: Clearance, first_east: int, first_north: int, shap
 
     outside = dict.fromkeys(("exponent", "share", "looks", "towards"), 0.0)
     outside |= {"seabed": float(SEABED_TYPES.index("unknown"))}
-    outside |= {"ripple_rad": NAN, "wavelength_m": NAN, "altitude_m": NAN}
+    outside |= dict.fromkeys(("ripple_rad", "wavelength_m", "unevenness_db", "altitude_m"), NAN)
     layers = {name: laid(getattr(clearance, name), value) for name, value in outside.items()}
     return msgspec.structs.replace(clearance, first_east=first_east, first_north=first_north, **layers)

@@ -7,7 +7,7 @@ linearly. Seen lower, the same range is grazed more flatly and shadows are longe
 
 with an exponent chosen by what predicts missions left out best. Ripples have three tables, by the angle between the
 look and the direction in which crests follow one another: 0-30, 30-60 and 60-90 degrees, read linearly between their
-middles.
+middles. Tables hold for sea floor of USUAL_UNEVENNESS_DB; every decibel more divides the odds by exp(loss_per_db).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from auv_mcm.errors import BadInputError
 from auv_mcm.model_file import read_model
-from auv_mcm.records import SEABED_TYPES, SeabedType
+from auv_mcm.records import NAN, SEABED_TYPES, SeabedType
 from auv_mcm.settings.config import Config
 
 Array: TypeAlias = NDArray[np.float64]
@@ -47,6 +47,9 @@ _HALVED_AT_M: Final[dict[Floor, float]] = {
 _LOSS_POWER, to 13,045 looks of beams of 0.25 to 3 degrees in the missions of seeds 950 to 957, on which no table was
 fitted; at 0.4, 0.8, 1.3 and 2 degrees 0.69, 0.51, 0.36 and 0.23 were found."""
 _LOSS_POWER: Final = 1.4  # of the footprint, fitted with it
+USUAL_UNEVENNESS_DB: Final = 2.0
+"""Unevenness of sea floor, as in `SeabedCells`, that tables hold for: about the median where relief is 0.2 m at most.
+"""
 STEEPEST_RAD: Final = math.radians(70.0)  # grazing angle beyond which, near the nadir, no mine is found
 _FILE: Final = "detection_performance.json"
 
@@ -77,7 +80,7 @@ class Performance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     """Hold the tables.
 
     fitted_on: what they were fitted on. edges_m: of the bands, rising. floors: per floor of FLOORS its bands.
-    beam_width_deg: the widest beam that they hold for.
+    beam_width_deg: the widest beam that they hold for. loss_per_db: of log-odds, for sea floor more uneven than usual.
 
     A look counts as having found a mine if it makes a contact that is called mine-like within 2 m. *_look_correlation:
     the part of a further view that adds nothing new, from within 15 degrees of an earlier one and from elsewhere.
@@ -91,6 +94,7 @@ class Performance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     same_look_correlation: _Probability
     other_look_correlation: _Probability
     beam_width_deg: Annotated[float, msgspec.Meta(gt=0.0, le=20.0)] = USUAL_BEAM_DEG
+    loss_per_db: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = 0.0
 
     def __post_init__(self) -> None:
         if len(self.edges_m) < 3 or not all(
@@ -133,15 +137,17 @@ class Performance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         altitude_m: ArrayLike,
         look_rad: ArrayLike,
         ripple_rad: ArrayLike,
+        unevenness_db: ArrayLike = NAN,
     ) -> Array:
         """Compute the probability that one view of the whole of a cell finds a mine there.
 
         float64, arguments broadcast. Arguments as in `SurveyedCells`. 0 where the grazing angle is beyond 70 degrees,
         farther than the last band, and where range or altitude is not known. An unknown floor is taken for the one with
-        the minimum there, ripples of unknown direction as from the worst one. Raises ValueError for a seabed that is
-        not in SEABED_TYPES.
+        the minimum there, ripples of unknown direction as from the worst one, unknown unevenness as usual. Raises
+        ValueError for a seabed that is not in SEABED_TYPES.
         """
-        return self._read(self._column("p"), seabed, ground_range_m, altitude_m, look_rad, ripple_rad)
+        p = self._read(self._column("p"), seabed, ground_range_m, altitude_m, look_rad, ripple_rad)
+        return self._uneven(p, unevenness_db)
 
     def interval(
         self,
@@ -150,13 +156,22 @@ class Performance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         altitude_m: ArrayLike,
         look_rad: ArrayLike,
         ripple_rad: ArrayLike,
+        unevenness_db: ArrayLike = NAN,
     ) -> tuple[Array, Array]:
         """Compute the 95 % interval of what `p_look` may be on average over missions; arguments and errors as there."""
         low, high = (
-            self._read(self._column(end), seabed, ground_range_m, altitude_m, look_rad, ripple_rad)
+            self._uneven(
+                self._read(self._column(end), seabed, ground_range_m, altitude_m, look_rad, ripple_rad), unevenness_db
+            )
             for end in ("low", "high")
         )
         return low, high
+
+    def _uneven(self, p: Array, unevenness_db: ArrayLike) -> Array:
+        """Divide the odds of probabilities by what unevenness costs."""
+        more_db = np.asarray(unevenness_db, dtype=np.float64) - USUAL_UNEVENNESS_DB
+        factor = np.exp(-self.loss_per_db * np.nan_to_num(more_db))
+        return np.asarray(p * factor / (p * factor + (1.0 - p)))
 
     def p_by_floor(self, ground_range_m: ArrayLike, altitude_m: float) -> Array:
         """Read each table at ground ranges (n,): (len(FLOORS), n) probabilities."""

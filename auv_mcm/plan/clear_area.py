@@ -60,7 +60,10 @@ def floor_ahead(ground: Clearance) -> Clearance:
     at = np.zeros(seen.size + 1, dtype=np.intp)
     at[nearest.ravel()[seen]] = seen  # each seen cell has a label of its own
     at = at[nearest]
-    return msgspec.structs.replace(ground, seabed=ground.seabed.ravel()[at], ripple_rad=ground.ripple_rad.ravel()[at])
+    layers: dict[str, NDArray[np.generic]] = {
+        name: getattr(ground, name).ravel()[at] for name in ("seabed", "ripple_rad", "unevenness_db")
+    }
+    return msgspec.structs.replace(ground, **layers)
 
 
 class _Flown(NamedTuple):
@@ -246,6 +249,7 @@ class ClearArea:
             np.full(len(look), limits.altitude_m, dtype=np.float32),
             look,
             ground.ripple_rad[seen],
+            ground.unevenness_db[seen],
         )
         renewed = np.where(ground.looks[seen] > 0, 1.0 - self._model.other_look_correlation, 1.0)
         added = exponent.copy()

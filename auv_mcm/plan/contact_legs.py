@@ -143,9 +143,10 @@ def _stand_offs(
     n_north, n_east = clearance.seabed.shape
     known = (row >= 0) & (row < n_north) & (column >= 0) & (column < n_east)
     seabed = np.full(len(requests), SEABED_TYPES.index("unknown"), dtype=np.uint8)
-    ripple = np.full(len(requests), NAN, dtype=np.float32)
+    ripple, unevenness = (np.full(len(requests), NAN, dtype=np.float32) for _ in range(2))
     seabed[known] = clearance.seabed[row[known], column[known]]
     ripple[known] = clearance.ripple_rad[row[known], column[known]]
+    unevenness[known] = clearance.unevenness_db[row[known], column[known]]
     look = np.add.outer([one.look_rad for one in requests], [0.0, math.pi]) % (2.0 * math.pi)
     shape = (len(requests), 2, _RANGES)
     arguments = (
@@ -154,10 +155,10 @@ def _stand_offs(
         np.float32(limits.altitude_m),
         look.astype(np.float32)[..., None],
     )
-    kind, range_m, altitude_m, look_rad, ripple_rad = (
-        np.broadcast_to(part, shape).ravel() for part in (*arguments, ripple[:, None, None])
+    conditions = (
+        np.broadcast_to(part, shape).ravel() for part in (*arguments, ripple[:, None, None], unevenness[:, None, None])
     )
-    p = np.asarray(model.p_look(kind, range_m, altitude_m, look_rad, ripple_rad), dtype=np.float64).reshape(shape)
+    p = np.asarray(model.p_look(*conditions), dtype=np.float64).reshape(shape)
     p = np.clip(np.nan_to_num(p.min(axis=1), nan=0.0), 0.0, HIGHEST_P)
     good = [np.flatnonzero(of_one >= _AS_GOOD * of_one.max()) for of_one in p]
     best = np.array([ranges[len(ranges) // 2] for ranges in good])

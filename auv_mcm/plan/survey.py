@@ -155,6 +155,7 @@ def _open_cells(world: SurveyState, is_open: NDArray[np.bool_], wanted: float) -
         towards=clearance.towards[at_cell],
         seabed=clearance.seabed[at_cell],
         ripple_rad=clearance.ripple_rad[at_cell],
+        unevenness_db=clearance.unevenness_db[at_cell],
         cell_m=clearance.cell_m,
     )
 

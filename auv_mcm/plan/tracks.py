@@ -68,6 +68,7 @@ class Cells(NamedTuple):
     towards: NDArray[np.uint64]
     seabed: NDArray[np.uint8]
     ripple_rad: NDArray[np.float32]
+    unevenness_db: NDArray[np.float32]
     cell_m: float
 
 
@@ -194,6 +195,7 @@ def _lines(cells: Cells, heading: float, offset_m: Array, model: LookModel, limi
         np.full(len(cell), limits.altitude_m, dtype=np.float32),
         look.astype(np.float32),
         cells.ripple_rad[cell],
+        cells.unevenness_db[cell],
     )
     p = fraction[line, place] * np.clip(np.nan_to_num(p, nan=0.0), 0.0, HIGHEST_P)
     exponent = -np.log1p(-p)

@@ -10,12 +10,14 @@ from numpy.typing import NDArray
 
 from auv_mcm.records import SEABED_TYPES, SeabedCells, Tile
 from auv_mcm.seabed.seabed_model import SeabedModel, kind_indices, seabed_odds
-from auv_mcm.seabed.texture import CELL_BLOCKS, Texture, measure_texture
+from auv_mcm.seabed.texture import CELL_BLOCKS, NAMES, Texture, measure_texture
 
 Array = NDArray[np.float64]
 
 _UNKNOWN: Final = SEABED_TYPES.index("unknown")
 _RIPPLE: Final = SEABED_TYPES.index("ripple")
+_UNEVENNESS: Final = NAMES.index("spread_wide_large")
+_DB_PER_NAT: Final = 10.0 / math.log(10.0)  # of energy
 # Nats that a neighbouring cell of the same kind adds; a value of 1 changes the share classified right by less than
 # 0.005
 _COUPLING: Final = 0.7
@@ -44,6 +46,7 @@ def seabed_cells(tile: Tile, model: SeabedModel) -> SeabedCells:
         confidence=np.where(given, confidence, 0.0).astype(np.float32),
         ripple_rad=np.where(rippled, _on_compass(texture, tile), np.nan).astype(np.float32),
         wavelength_m=np.where(rippled, texture.wavelength_m, np.nan).astype(np.float32),
+        unevenness_db=(_DB_PER_NAT * np.exp(0.5 * texture.features[..., _UNEVENNESS])).astype(np.float32),
     )
 
 

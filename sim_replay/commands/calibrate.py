@@ -162,6 +162,7 @@ def _run_verdicts(arguments: argparse.Namespace) -> int:
 
 
 def _run_performance(arguments: argparse.Namespace, show: Show) -> int:
+    from auv_mcm.clearance.detection_performance import USUAL_UNEVENNESS_DB
     from sim_replay.fitting.detection_performance.calibrate_performance import (
         FIT_SEEDS,
         FLIGHTS,
@@ -181,6 +182,7 @@ def _run_performance(arguments: argparse.Namespace, show: Show) -> int:
     print("probability that one look finds a mine, its 95 % interval, and looks fitted on\n")
     print(tables(performance))
     print(f"\nranges count in the height flown to the power {performance.altitude_exponent:g}")
+    print(f"each decibel of unevenness above {USUAL_UNEVENNESS_DB:g} costs {performance.loss_per_db:.2f} of log-odds")
     print(f"of a further look, {performance.same_look_correlation:.2f} is known from one in the same direction")
     print(f"and {performance.other_look_correlation:.2f} from one in another")
     if arguments.out is not None:
@@ -363,7 +365,7 @@ FITS: Final = (
         ),
         (
             *_on_farm("800-815"),
-            _option("--flights", metavar="N", type=whole(1, 1000), help="missions of each seed (default 2)"),
+            _option("--flights", metavar="N", type=whole(1, 1000), help="missions of each seed (default 3)"),
         ),
         _run_performance,
     ),

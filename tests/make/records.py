@@ -118,7 +118,8 @@ def cells_of(places: Mapping[tuple[int, int], float], **columns: Any) -> Surveye
     n = len(places)
     known: dict[str, Any] = {
         "ground_range_m": 0.0, "altitude_m": 0.0, "look_rad": 0.0, "seabed": 0, "confidence": 1.0, "ripple_rad": NAN,
-        "wavelength_m": NAN, "origin_latitude_deg": 43.0, "origin_longitude_deg": 5.0, "cell_m": 4.0,
+        "wavelength_m": NAN, "unevenness_db": NAN, "cell_m": 4.0,
+        "origin_latitude_deg": 43.0, "origin_longitude_deg": 5.0,
     } | columns  # fmt: skip
     scalars = {name: known.pop(name) for name in ("origin_latitude_deg", "origin_longitude_deg", "cell_m")}
     index = np.array(list(places), dtype=np.int32).reshape(-1, 2)

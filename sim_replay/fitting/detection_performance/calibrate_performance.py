@@ -19,7 +19,7 @@ from sim_replay.fitting.theatre import USUAL, Theatre
 from sim_replay.text_tables import columns
 
 FIT_SEEDS: Final = range(800, 816)
-FLIGHTS: Final = 2  # over each scene, on other tracks
+FLIGHTS: Final = 3  # over each scene, on other tracks
 _SWEEP_STEP_M: Final = 0.25  # m: step of the integral over range
 
 

@@ -11,7 +11,8 @@ from typing import Final, NamedTuple
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import betaincinv
+from scipy.optimize import minimize_scalar
+from scipy.special import betaincinv, expit, logit
 
 from auv_mcm.classify.beliefs import MINE_LIKE_P
 from auv_mcm.clearance.clearance_map import HIGHEST_P
@@ -20,6 +21,7 @@ from auv_mcm.clearance.detection_performance import (
     FLOORS,
     RIPPLES,
     USUAL_BEAM_DEG,
+    USUAL_UNEVENNESS_DB,
     Band,
     Floor,
     Performance,
@@ -38,6 +40,10 @@ PRIOR_LOOKS: Final = 20.0  # that the closed form counts as
 _ALTITUDE_M: Final = 6.5  # m that ranges of other altitudes are scaled to
 # of the altitude, tried in turn; the best on left-out missions is taken
 _EXPONENTS: Final = (0.0, 0.25, 0.5, 0.75, 1.0)
+_MAX_LOSS: Final = 5.0  # of log-odds per dB of unevenness: at most in its search; 0.9 comes
+_LIKELY_P: Final = 0.5  # of a look whose correlation with another counts
+_ROUNDING: Final = 1e-5  # of a share: bands all of whose looks found, or none, say nothing of scatter
+_MAX_LOG_ODDS: Final = 12.0  # of a band all of whose looks found, or none
 _TEXTURES: Final = tuple(float(f"{texture:.3g}") for texture in np.geomspace(0.3, 30.0, 21))
 _SAME_LOOK_RAD: Final = math.radians(15.0)
 _TAIL: Final = 0.025  # probability beyond each end of the central 95 % interval
@@ -58,6 +64,7 @@ class Outcomes(NamedTuple):
     look_rad: Array
     ripple_rad: Array
     found: NDArray[np.bool_]
+    unevenness_db: Array
 
 
 class SmoothedBands(NamedTuple):
@@ -84,6 +91,7 @@ def outcomes(looks: Sequence[CellPass]) -> Outcomes:
         look_rad=look_rad,
         ripple_rad=ripple_rad,
         found=np.array([look.p_mine >= MINE_LIKE_P for look in looks], dtype=np.bool_),
+        unevenness_db=np.array([look.unevenness_db for look in looks], dtype=np.float64),
     )
 
 
@@ -96,7 +104,7 @@ def floors_of(seabed: Ints, look_rad: Array, ripple_rad: Array) -> Ints:
 
 
 def fit_performance(looks: Sequence[CellPass], fitted_on: str, beam_width_deg: float = USUAL_BEAM_DEG) -> Performance:
-    """Fit the tables, with the altitude's exponent that best predicts left-out missions.
+    """Fit the tables, with the altitude's exponent that best predicts left-out missions, and what unevenness costs.
 
     beam_width_deg: the widest beam that they hold for.
 
@@ -107,20 +115,33 @@ def fit_performance(looks: Sequence[CellPass], fitted_on: str, beam_width_deg: f
         raise BadInputError(f"{fitted_on}: no look at {', '.join(missing)}. Fly more missions, with --seeds")
     if len(np.unique(seen.mission)) < 2:
         raise BadInputError(f"{fitted_on}: one mission does not show how missions differ. Fly more, with --seeds")
-    exponent = min(_EXPONENTS, key=lambda candidate: surprise_left_out(seen, candidate))
-    tables = fitted_tables(seen, exponent, fitted_on)
+    loss_per_db = likeliest_loss(seen, _EXPONENTS[len(_EXPONENTS) // 2])
+    exponent = min(_EXPONENTS, key=lambda candidate: surprise_left_out(seen, candidate, loss_per_db))
+    tables = fitted_tables(seen, exponent, fitted_on, likeliest_loss(seen, exponent))
     return with_correlations(msgspec.structs.replace(tables, beam_width_deg=beam_width_deg), seen)
 
 
-def fitted_tables(seen: Outcomes, exponent: float, fitted_on: str) -> Performance:
-    """Fit the tables for one exponent, looks taken for independent."""
+def likeliest_loss(seen: Outcomes, exponent: float) -> float:
+    """Find the loss of log-odds per dB of unevenness that, with the tables fitted for it, makes outcomes likeliest."""
+
+    def surprise_by(loss_per_db: float) -> float:
+        return surprise(fitted_tables(seen, exponent, "", loss_per_db), seen)
+
+    return round(float(minimize_scalar(surprise_by, bounds=(0.0, _MAX_LOSS), method="bounded").x), _DIGITS)
+
+
+def fitted_tables(seen: Outcomes, exponent: float, fitted_on: str, loss_per_db: float = 0.0) -> Performance:
+    """Fit the tables for one exponent and one loss by unevenness, looks taken for independent."""
     band = bands_of(seen, exponent)
     n_looks, n_found = (counts(seen.floor, band, weight) for weight in (None, seen.found))
-    effect = design_effect(seen, band)
+    more_log_odds = -loss_per_db * np.nan_to_num(seen.unevenness_db - USUAL_UNEVENNESS_DB)
+    usual = shares_where_usual(seen, band, more_log_odds)
+    effect = design_effect(seen, band, more_log_odds)
     floors: dict[Floor, tuple[Band, ...]] = {}
     for index, name in enumerate(FLOORS):
-        prior = closed_form_prior(n_looks[index], n_found[index])
-        smooth = smooth_bands(n_found[index], n_looks[index], prior, effect)
+        n_as_usual = usual[index] * n_looks[index]
+        prior = closed_form_prior(n_looks[index], n_as_usual)
+        smooth = smooth_bands(n_as_usual, n_looks[index], prior, effect)
         floors[name] = tuple(
             Band(
                 n_looks=int(n),
@@ -139,7 +160,27 @@ def fitted_tables(seen: Outcomes, exponent: float, fitted_on: str) -> Performanc
         floors=floors,
         same_look_correlation=0.0,
         other_look_correlation=0.0,
+        loss_per_db=loss_per_db,
     )
+
+
+def shares_where_usual(seen: Outcomes, band: Ints, more_log_odds: Array) -> Array:
+    """Find the share of looks that would have found their target had every floor been of the usual unevenness.
+
+    (len(FLOORS), n_bands): with it, as many are expected to be found as were; 0 without looks. more_log_odds: (n,) of a
+    look than there.
+    """
+    n_bands = len(EDGES_M) - 1
+    n_cells = len(FLOORS) * n_bands
+    of_cell = seen.floor * n_bands + band
+    n_found = np.bincount(of_cell, seen.found, n_cells)
+    low, high = np.full(n_cells, -_MAX_LOG_ODDS), np.full(n_cells, _MAX_LOG_ODDS)
+    for _ in range(50):  # bisection, to rounding
+        middle = 0.5 * (low + high)
+        too_few = np.bincount(of_cell, expit(middle[of_cell] + more_log_odds), n_cells) < n_found
+        low, high = np.where(too_few, middle, low), np.where(too_few, high, middle)
+    share = np.where(np.bincount(of_cell, minlength=n_cells) > 0, expit(0.5 * (low + high)), 0.0)
+    return np.asarray(share.reshape(len(FLOORS), n_bands))
 
 
 def bands_of(seen: Outcomes, exponent: float) -> Ints:
@@ -155,27 +196,28 @@ def counts(floor: Ints, band: Ints, weight: NDArray[np.bool_] | None = None) -> 
     return np.asarray(flat.reshape(len(FLOORS), n_bands), dtype=np.float64)
 
 
-def design_effect(seen: Outcomes, band: Ints) -> float:
+def design_effect(seen: Outcomes, band: Ints, more_log_odds: Array | float = 0.0) -> float:
     """Return how many looks of one mission at one floor and band count as one, at least 1.
 
     Missions differ in water, sonar and floor, so that shares found vary more from one to the next than counts alone
     would: the mean of Pearson's residuals (P. McCullagh and J. Nelder, "Generalized Linear Models", 1989, Sec. 4.5).
+
+    more_log_odds: (n,) of looks, by their unevenness.
     """
     n_bands = len(EDGES_M) - 1
     of_cell = seen.floor * n_bands + band
     n_cells = len(FLOORS) * n_bands
-    share = np.bincount(of_cell, seen.found, n_cells) / np.maximum(np.bincount(of_cell, minlength=n_cells), 1)
+    usual = shares_where_usual(seen, band, np.broadcast_to(more_log_odds, of_cell.shape)).ravel()
+    p = expit(logit(np.clip(usual, _ROUNDING, 1.0 - _ROUNDING))[of_cell] + more_log_odds)
     _, group = np.unique(seen.mission * n_cells + of_cell, return_inverse=True)
-    n, k = np.bincount(group).astype(np.float64), np.bincount(group, seen.found)
-    p = np.zeros(len(n))
-    p[group] = share[of_cell]
-    used = (n >= _MIN_GROUP) & (p > 0.0) & (p < 1.0)
+    n, k, expected, variance = (np.bincount(group, value) for value in (None, seen.found, p, p * (1.0 - p)))
     cells = np.zeros(len(n), dtype=np.int64)
     cells[group] = of_cell
+    used = (n >= _MIN_GROUP) & (usual[cells] > _ROUNDING) & (usual[cells] < 1.0 - _ROUNDING)
     freedom = int(np.count_nonzero(used)) - len(np.unique(cells[used]))
     if freedom < 1:
         return 1.0
-    return max(1.0, float(((k - n * p)[used] ** 2 / (n * p * (1.0 - p))[used]).sum() / freedom))
+    return max(1.0, float(((k - expected)[used] ** 2 / variance[used]).sum() / freedom))
 
 
 def closed_form_prior(n_looks: Array, n_found: Array) -> Array:
@@ -245,31 +287,44 @@ def rising(value: Array, weight: Array) -> Ints:
     return np.repeat(np.arange(len(blocks)), [length for *_, length in blocks])
 
 
-def surprise_left_out(seen: Outcomes, exponent: float) -> float:
+def surprise_left_out(seen: Outcomes, exponent: float, loss_per_db: float = 0.0) -> float:
     """Return mean -ln of the outcomes' probability, each mission judged with the tables of the others."""
     total = 0.0
     for mission in np.unique(seen.mission):
         out = seen.mission == mission
         others, own = (Outcomes(*(column[chosen] for column in seen)) for chosen in (~out, out))
-        p = np.clip(predicted(fitted_tables(others, exponent, ""), own), 1e-3, 1.0 - 1e-3)
-        total -= float(np.where(own.found, np.log(p), np.log1p(-p)).sum())
+        total += surprise(fitted_tables(others, exponent, "", loss_per_db), own)
     return total / len(seen.found)
+
+
+def surprise(performance: Performance, seen: Outcomes) -> float:
+    """Sum -ln of the outcomes' probability by tables."""
+    p = np.clip(predicted(performance, seen), 1e-3, 1.0 - 1e-3)
+    return -float(np.where(seen.found, np.log(p), np.log1p(-p)).sum())
 
 
 def predicted(performance: Performance, seen: Outcomes) -> Array:
     """Return (n,) probability of each look, with its true floor."""
-    return performance.p_look(seen.seabed, seen.ground_range_m, seen.altitude_m, seen.look_rad, seen.ripple_rad)
+    return performance.p_look(
+        seen.seabed, seen.ground_range_m, seen.altitude_m, seen.look_rad, seen.ripple_rad, seen.unevenness_db
+    )
 
 
 def with_correlations(performance: Performance, seen: Outcomes) -> Performance:
     """Add to the tables the effect of a further look, from pairs of looks at one target.
 
-    A look in the same direction is taken to add no more than one in another, whatever few pairs suggest.
+    Of each pair both find more often than not by the tables: where most looks are in vain, an error of the tables would
+    pass for correlation. A look in the same direction is taken to add no more than one in another, whatever few pairs
+    suggest.
     """
     p = np.minimum(predicted(performance, seen), HIGHEST_P)
-    same, other = (
-        round(correlation(p[first], p[second], ~seen.found[first] & ~seen.found[second]), 3)
+    likely = [
+        (first[both], second[both])
         for first, second in pairs(seen)
+        for both in [np.minimum(p[first], p[second]) >= _LIKELY_P]
+    ]
+    same, other = (
+        round(correlation(p[first], p[second], ~seen.found[first] & ~seen.found[second]), 3) for first, second in likely
     )
     return msgspec.structs.replace(performance, same_look_correlation=max(same, other), other_look_correlation=other)
 

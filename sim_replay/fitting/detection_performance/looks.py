@@ -35,6 +35,7 @@ class CellPass(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
     SEABED_TYPES of what that counts as. ripple_rad: direction in which crests follow one another, None without ripples.
     ground_range_m, altitude_m, look_rad: as the payload has them of the cell. time_s: since the mission's start.
     p_mine: the highest of a contact from this pass alone within the gate around the target, 0 if there is none.
+    unevenness_db: of the cell, NaN where it was not measured.
     """
 
     mission: int
@@ -47,6 +48,7 @@ class CellPass(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
     look_rad: float
     time_s: float
     p_mine: float
+    unevenness_db: float
 
 
 class Part(NamedTuple):
@@ -59,6 +61,7 @@ class Part(NamedTuple):
     ground_range_m: float
     altitude_m: float
     look_rad: float
+    unevenness_db: float
 
 
 def looks_of(scene: Scene, theatre: Theatre = USUAL) -> list[CellPass]:
@@ -98,6 +101,7 @@ def looks_of(scene: Scene, theatre: Theatre = USUAL) -> list[CellPass]:
                         look_rad=largest.look_rad,
                         time_s=largest.start_s - scene.track.start_time_s,
                         p_mine=best.p_mine(index, side, group[0].start_s - _MARGIN_S, group[-1].stop_s + _MARGIN_S),
+                        unevenness_db=largest.unevenness_db,
                     )
                 )
     return looks
@@ -122,11 +126,12 @@ def seen_parts(at_m: NDArray[np.float64], patches: Sequence[CoveragePatch], fram
         for target, place in enumerate(map(tuple, index.tolist())):
             k = where.get(place)
             if k is not None:
-                fraction, ground_m, altitude_m, look_rad = (
-                    float(part[k]) for part in (cells.fraction, cells.ground_range_m, cells.altitude_m, cells.look_rad)
+                columns = (
+                    *(cells.fraction, cells.ground_range_m, cells.altitude_m, cells.look_rad),
+                    cells.unevenness_db,
                 )
                 found[target].append(
-                    Part(patch.side, patch.start_s, patch.stop_s, fraction, ground_m, altitude_m, look_rad)
+                    Part(patch.side, patch.start_s, patch.stop_s, *(float(column[k]) for column in columns))
                 )
     return found
 

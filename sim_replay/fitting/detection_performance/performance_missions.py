@@ -45,6 +45,7 @@ MIX: Final[dict[TargetKind, tuple[float, SizeRange, SizeRange, float]]] = {
 }
 """The usual mix of mines, as in the named scenes: share, burial and scour (m), greatest tilt (degrees)."""
 _STRENGTH_DB: Final = (-24.0, -10.0)  # dB of target strength, from and to
+_RELIEF_M: Final = (0.02, 0.2, 1.6)  # m rms: two in three missions from the first to the second, others beyond
 _SPHERE_M: Final = (0.6, 1.0)  # m of diameter, from and to
 
 
@@ -71,7 +72,7 @@ def target_scene(seed: int, flight: int = 0) -> Scene:
     return Scene(
         name=f"performance {seed}, flight {flight}",
         seed=int(sequence.generate_state(1)[0]),
-        world=World(depth_m=25.0, seabeds=_seabeds(rng), patch_m=60.0, relief_rms_m=float(rng.uniform(0.02, 0.2))),
+        world=World(depth_m=25.0, seabeds=_seabeds(rng), patch_m=60.0, relief_rms_m=_relief_m(float(rng.uniform()))),
         objects=_targets(rng, points, math.sqrt(range_m**2 - altitude_m**2) - _EDGE_M),
         sonar=Sonar(
             frequency_khz=float(rng.choice([400.0, 450.0, 600.0])),
@@ -171,6 +172,12 @@ def _targets(
 def _between(bounds: SizeRange, share: float) -> float:
     low, high = bounds
     return float(low + (high - low) * share)
+
+
+def _relief_m(share: float) -> float:
+    low, usual, high = _RELIEF_M
+    beyond = 3.0 * share - 2.0
+    return usual * (high / usual) ** beyond if beyond > 0.0 else _between((low, usual), 1.5 * share)
 
 
 def _distance_m(place: NDArray[np.float64], points: NDArray[np.float64]) -> float:

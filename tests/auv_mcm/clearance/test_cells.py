@@ -59,6 +59,7 @@ def seabed_of(tile: Tile, kind: NDArray[np.uint8], ripple_rad: float = math.nan)
         confidence=np.full(shape, 0.75, dtype=np.float32),
         ripple_rad=np.full(shape, ripple_rad, dtype=np.float32),
         wavelength_m=np.full(shape, 0.8, dtype=np.float32),
+        unevenness_db=2.0 + kind.astype(np.float32),
     )
 
 
@@ -139,6 +140,7 @@ def test_cells_take_the_kind_that_most_of_them_is() -> None:
     assert cells.confidence == pytest.approx(0.75, abs=1e-6)
     assert np.rad2deg(cells.ripple_rad[far]) == pytest.approx(179.0, abs=0.01)
     assert cells.wavelength_m[far] == pytest.approx(0.8, abs=1e-6)
+    assert cells.unevenness_db[far] == pytest.approx(2.0 + SEABED_TYPES.index("ripple"), abs=1e-6)
 
 
 def test_without_a_map_of_the_sea_floor_it_is_unknown() -> None:
@@ -146,6 +148,7 @@ def test_without_a_map_of_the_sea_floor_it_is_unknown() -> None:
     assert set(cells.seabed.tolist()) == {SEABED_TYPES.index("unknown")}
     assert not cells.confidence.any()
     assert np.isnan(cells.ripple_rad).all()
+    assert np.isnan(cells.unevenness_db).all()
 
 
 def displaced(tile: Tile, degrees: float, rows: slice) -> Tile:

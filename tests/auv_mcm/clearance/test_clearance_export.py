@@ -33,6 +33,7 @@ def clearance(p: NDArray[np.float64], looks: NDArray[np.uint8] | None = None, lo
         seabed=np.full(shape, SEABED_TYPES.index("flat"), dtype=np.uint8),
         ripple_rad=nothing,
         wavelength_m=nothing,
+        unevenness_db=nothing,
         altitude_m=nothing,
     )
 

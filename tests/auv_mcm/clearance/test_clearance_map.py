@@ -34,6 +34,7 @@ class Model(NamedTuple):
         altitude_m: NDArray[np.float32],
         look_rad: NDArray[np.float32],
         ripple_rad: NDArray[np.float32],
+        unevenness_db: NDArray[np.float32],
     ) -> NDArray[np.float64]:
         return np.asarray(1.0 - ground_range_m.astype(np.float64) / 50.0)
 
@@ -48,7 +49,12 @@ class Reported(NamedTuple):
 
 
 def patch(
-    reported: Reported, *, seabed: SeabedType = "flat", confidence: float = 0.9, origin_deg: float = 43.0
+    reported: Reported,
+    *,
+    seabed: SeabedType = "flat",
+    confidence: float = 0.9,
+    unevenness_db: float = math.nan,
+    origin_deg: float = 43.0,
 ) -> CoveragePatch:
     cells = cells_of(
         {(place[0], place[1]): place[2] for place in reported.places},
@@ -58,6 +64,7 @@ def patch(
         look_rad=math.radians(reported.look_deg),
         seabed=SEABED_TYPES.index(seabed),
         confidence=confidence,
+        unevenness_db=unevenness_db,
     )
     return patch_of(side=reported.side, start_s=reported.start_s, stop_s=reported.start_s + 30.0, cells=cells)
 
@@ -212,10 +219,11 @@ def test_the_surest_look_shows_the_sea_floor() -> None:
     place = [(0, 0, 1.0, 25.0)]
     reported = snapshot(
         patch(Reported(0.0, "port", 0.0, place), seabed="rough", confidence=0.6),
-        patch(Reported(500.0, "port", 90.0, place), seabed="ripple", confidence=0.8),
+        patch(Reported(500.0, "port", 90.0, place), seabed="ripple", confidence=0.8, unevenness_db=3.5),
         patch(Reported(900.0, "port", 180.0, place), seabed="flat", confidence=0.7),
     )
     assert SEABED_TYPES[int(reported.seabed[0, 0])] == "ripple"
+    assert reported.unevenness_db[0, 0] == 3.5
 
 
 def test_nothing_seen_is_no_map_and_empty_patches_add_nothing() -> None:

@@ -42,6 +42,7 @@ class Sonar(NamedTuple):
         altitude_m: NDArray[np.float32],
         look_rad: NDArray[np.float32],
         ripple_rad: NDArray[np.float32],
+        unevenness_db: NDArray[np.float32],
     ) -> NDArray[np.float64]:
         falls = 1.0 - 0.5 * np.maximum(ground_range_m.astype(np.float64) - 25.0, 0.0) / 25.0
         kind = np.array([1.0, 0.9, 0.7, 0.6, 0.8])[seabed]

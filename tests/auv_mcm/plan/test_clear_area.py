@@ -184,6 +184,7 @@ class Mission:
             confidence=np.full(n, 0.9, dtype=np.float32),
             ripple_rad=np.full(n, np.nan, dtype=np.float32),
             wavelength_m=np.full(n, np.nan, dtype=np.float32),
+            unevenness_db=np.full(n, np.nan, dtype=np.float32),
         )
 
     def assert_kept_to_limits(self) -> None:
@@ -391,9 +392,13 @@ def test_floor_not_seen_is_expected_to_be_like_the_nearest_seen(seed: int, shape
     random = np.random.default_rng(seed)
     looks = (random.random(shape) < 0.2).astype(np.uint8)
     seabed = random.integers(0, len(SEABED_TYPES), shape).astype(np.uint8)
-    ripple_rad = random.random(shape).astype(np.float32)
+    ripple_rad, unevenness_db = random.random((2, *shape)).astype(np.float32)
     ground = msgspec.structs.replace(
-        clearance_over(unsearched(43.0, 5.0, 4.0), 0, 0, shape), looks=looks, seabed=seabed, ripple_rad=ripple_rad
+        clearance_over(unsearched(43.0, 5.0, 4.0), 0, 0, shape),
+        looks=looks,
+        seabed=seabed,
+        ripple_rad=ripple_rad,
+        unevenness_db=unevenness_db,
     )
     ahead = floor_ahead(ground)
     assert (ahead.looks == looks).all()
@@ -405,7 +410,8 @@ def test_floor_not_seen_is_expected_to_be_like_the_nearest_seen(seed: int, shape
             continue
         away = np.hypot(*(places - at).T)
         near = [tuple(place) for place in places[away <= 1.05 * away.min() + 1e-9]]
-        assert (ahead.seabed[at], ahead.ripple_rad[at]) in [(seabed[one], ripple_rad[one]) for one in near]
+        expected = [(seabed[one], ripple_rad[one], unevenness_db[one]) for one in near]
+        assert (ahead.seabed[at], ahead.ripple_rad[at], ahead.unevenness_db[at]) in expected
 
 
 def test_on_floor_easier_than_the_worst_an_area_takes_no_more_legs_than_it_needs() -> None:

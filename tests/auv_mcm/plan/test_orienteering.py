@@ -44,6 +44,7 @@ def problem_of(state: SurveyState, limits: Limits, kept: list[int] | None = None
         towards=np.zeros(n, dtype=np.uint64),
         seabed=clearance.seabed[row, column],
         ripple_rad=clearance.ripple_rad[row, column],
+        unevenness_db=clearance.unevenness_db[row, column],
         cell_m=clearance.cell_m,
     )
     tracks = survey_tracks(cells, state.performance, limits, [], always)

@@ -119,6 +119,7 @@ def legs_alone_raise(
                         5.0,
                         look,
                         clearance.ripple_rad[row, column],
+                        clearance.unevenness_db[row, column],
                     )
                 ]
                 p = part * min(
@@ -159,9 +160,12 @@ def test_of_very_many_cells_it_plans_with_as_many_in_every_row_and_column(side: 
     state, asked = world(side, side, required=0.5), set[float]()
 
     class Asked(Sonar):
-        def p_look(self, seabed: Any, ground_range_m: Any, altitude_m: Any, look_rad: Any, ripple_rad: Any) -> Any:
+        def p_look(
+            self, seabed: Any, ground_range_m: Any, altitude_m: Any, look_rad: Any, ripple_rad: Any, unevenness_db: Any
+        ) -> Any:
             asked.update(ripple_rad.tolist())
-            return super().p_look(seabed, ground_range_m, altitude_m, look_rad, np.full_like(ripple_rad, np.nan))
+            none = np.full_like(ripple_rad, np.nan)
+            return super().p_look(seabed, ground_range_m, altitude_m, look_rad, none, unevenness_db)
 
     state.clearance.ripple_rad[:] = np.linspace(0.0, 1e-3, side**2).reshape(side, side)
     plan = replan(state._replace(performance=Asked()), POSE, LIMITS, None, steps(0))

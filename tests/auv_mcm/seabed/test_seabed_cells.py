@@ -104,6 +104,19 @@ def test_ripples_are_described_by_the_compass(
     assert cells.wavelength_m[1:-2, 1:-1] == pytest.approx(0.9, rel=0.15)
 
 
+def test_unevenness_is_the_deviation_of_mean_echoes_from_cell_to_cell(model: SeabedModel) -> None:
+    """Counted one by one, over seven cells each way, in decibels, glints left out; next to none by speckle alone."""
+    rng = np.random.Generator(np.random.PCG64(12))
+    shape, cell = (480, 960), (16, 32)  # pixels of a tile, and of a cell of 1.92 m
+    uneven = np.exp(np.kron(rng.normal(0.0, 0.8, (30, 30)), np.ones(cell))) * speckled(rng, shape)
+    found = seabed_cells(tile_of(uneven), model).unevenness_db
+    echo_db = 10.0 * np.log10(uneven.reshape(30, cell[0], 30, cell[1]).mean(axis=(1, 3)))
+    for along, across in ((5, 7), (15, 15), (20, 24)):
+        around = echo_db[along - 3 : along + 4, across - 3 : across + 4]
+        assert found[along, across] == pytest.approx(around.std(), rel=0.01)
+    assert seabed_cells(tile_of(speckled(rng, shape)), model).unevenness_db[3:-3, 3:-3].max() < 0.4
+
+
 def test_what_is_like_nothing_known_is_unknown(model: SeabedModel) -> None:
     rng = np.random.Generator(np.random.PCG64(6))
     checkered = np.kron(np.indices((50, 50)).sum(axis=0) % 2 * 1.9 + 0.05, np.ones((8, 10))) * (
@@ -118,6 +131,7 @@ def test_where_nothing_was_measured_nothing_is_claimed(model: SeabedModel) -> No
     cells = seabed_cells(tile_of(np.ones(SHAPE), np.zeros(SHAPE, dtype=np.uint8)), model)
     assert set(cells.kind.ravel().tolist()) == {SEABED_TYPES.index("unknown")}
     assert not cells.confidence.any()
+    assert np.isnan(cells.unevenness_db).all()
 
 
 def test_neighbours_settle_what_a_cell_leaves_open_and_no_more() -> None:

@@ -92,5 +92,6 @@ def searched_half() -> Clearance:
         seabed=np.array([[0, 1], [2, 4]], dtype=np.uint8),
         ripple_rad=nothing,
         wavelength_m=nothing,
+        unevenness_db=nothing,
         altitude_m=nothing,
     )

@@ -47,6 +47,7 @@ def searched(p: float) -> Clearance:
         seabed=np.zeros((10, 10), dtype=np.uint8),
         ripple_rad=nothing,
         wavelength_m=nothing,
+        unevenness_db=nothing,
         altitude_m=nothing,
     )
 

@@ -50,6 +50,7 @@ def looks_of_flight(flight: Flight, theatre: Theatre) -> list[CellPass]:
             look_rad=math.radians((0.0, 0.0, 45.0, 90.0, 0.0, 0.0)[target % 6]),
             time_s=0.0,
             p_mine=float(rng.uniform()),
+            unevenness_db=2.0,
         )
         for target in range(120)
     ]

@@ -37,6 +37,7 @@ from sim_replay.fitting.detection_performance.fit_performance import (
     one_hump,
     outcomes,
     pairs,
+    predicted,
     smooth_bands,
 )
 from sim_replay.fitting.detection_performance.looks import CellPass
@@ -57,6 +58,7 @@ def look(
     found: bool = True,
     look_deg: float = 0.0,
     time_s: float = 0.0,
+    unevenness_db: float = 2.0,
 ) -> CellPass:
     return CellPass(
         mission=mission,
@@ -69,6 +71,7 @@ def look(
         look_rad=math.radians(look_deg),
         time_s=time_s,
         p_mine=MINE_LIKE_P if found else 0.0,
+        unevenness_db=unevenness_db,
     )
 
 
@@ -103,6 +106,32 @@ def test_counts_are_those_of_counting() -> None:
         ]
         assert n[floor, number] == len(here)
         assert k[floor, number] == sum(bool(seen.found[i]) for i in here)
+
+
+def test_tables_show_what_is_found_where_floor_is_as_uneven_as_usual() -> None:
+    """In a world where each decibel takes 0.7 off the log-odds of 1.5, four in five looks are at more uneven floor."""
+    rng = np.random.Generator(np.random.PCG64(3))
+    looks = [
+        look(
+            mission,
+            target,
+            seabed=KINDS[target % len(KINDS)],
+            ground_m=ground_m,
+            found=found,
+            look_deg=look_deg,
+            unevenness_db=db,
+        )
+        for mission in range(12)
+        for target in range(300)
+        for ground_m, db, look_deg in rng.uniform((10.0, 1.0, 0.0), (70.0, 6.0, 360.0), (1, 3)).tolist()
+        for found in [bool(rng.uniform() < 1.0 / (1.0 + math.exp(0.7 * (db - 2.0) - 1.5)))]
+    ]
+    fitted = fit_performance(looks, "a world")
+    assert fitted.loss_per_db == pytest.approx(0.7, abs=0.08)
+    assert fitted.floors["flat"][4].p == pytest.approx(1.0 / (1.0 + math.exp(-1.5)), abs=0.06)
+    seen = outcomes(looks)
+    far = seen.unevenness_db > 5.0
+    assert predicted(fitted, seen)[far].mean() == pytest.approx(seen.found[far].mean(), abs=0.04)
 
 
 def best_one_hump(value: Array, weight: Array) -> float:
@@ -246,9 +275,10 @@ def test_no_outcomes_are_no_outcomes() -> None:
 def test_tables_for_a_wide_beam_promise_what_it_finds() -> None:
     """Over a drawn world that no table was fitted on; the tables as they are promise 0.3 more."""
     width_deg = 1.3
-    looks = outcomes(fly_scene(Flight(958, 0), Theatre(sonars=(SonarVariant(beam_width_deg=width_deg),))))
+    looks = outcomes(fly_scene(Flight(958, 1), Theatre(sonars=(SonarVariant(beam_width_deg=width_deg),))))
     narrow = shipped_performance()
-    places = looks.seabed, looks.ground_range_m, looks.altitude_m, looks.look_rad, looks.ripple_rad
-    narrow_p, wide_p = (float(one.p_look(*places).mean()) for one in (narrow, narrow.for_beam(math.radians(width_deg))))
+    narrow_p, wide_p = (
+        float(predicted(one, looks).mean()) for one in (narrow, narrow.for_beam(math.radians(width_deg)))
+    )
     assert float(looks.found.mean()) == pytest.approx(wide_p, abs=0.1)
     assert narrow_p > wide_p + 0.2

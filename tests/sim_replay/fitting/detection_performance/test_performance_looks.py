@@ -19,7 +19,7 @@ ORIGIN = (43.0, 5.0)
 
 
 def part(start_s: float, look_deg: float, side: Side = "port") -> Part:
-    return Part(side, start_s, start_s + 10.0, 0.5, 20.0, 6.0, math.radians(look_deg))
+    return Part(side, start_s, start_s + 10.0, 0.5, 20.0, 6.0, math.radians(look_deg), 2.0)
 
 
 def patch(start_s: float, cells: list[tuple[int, int, float]]) -> CoveragePatch:

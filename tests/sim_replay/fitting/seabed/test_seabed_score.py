@@ -42,6 +42,7 @@ def mapped(
         seabed=kind,
         ripple_rad=nothing,
         wavelength_m=nothing,
+        unevenness_db=nothing,
         altitude_m=nothing,
     )
 
