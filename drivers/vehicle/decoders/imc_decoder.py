@@ -50,7 +50,7 @@ class FollowedVehicle:
         self._all: dict[int, None] = {}  # vehicles heard, where none is named
         self._aborted_s = -math.inf
         self._withheld = ""  # why it is not asked, until it flies a plan of its own
-        self._flew = self._flies_ours = False  # any plan was reported to run; the payload's runs
+        self._flew = self._flies_ours = self._flies_own = False  # any plan was reported to run; which one runs
         self._plan_before = self._sent_on = ""  # plans of the vehicle: before the payload's, and in its place
         self.is_left = False  # by the payload, which ends its own plan
         self.restart()
@@ -80,13 +80,14 @@ class FollowedVehicle:
         if not isinstance(message, imc.PlanControlState):
             return
         if message.state in (PlanState.BLOCKED, PlanState.READY):
-            if self._flies_ours and not self.is_left and message.last_outcome == _FAILURE:
-                self._withheld = "the payload's plan was stopped on board"
+            flew_ours = self._flies_ours and not self.is_left
+            if (flew_ours or self._flies_own) and message.last_outcome == _FAILURE:
+                self._withheld = f"the {'payload' if flew_ours else 'vehicle'}'s plan was stopped on board"
             elif not self._flew:
                 self._withheld = self._withheld or _IDLE
-            self._flies_ours = False
+            self._flies_ours = self._flies_own = False
         elif message.plan_id == PLAN_ID:
-            self._flew = self._flies_ours = True
+            self._flew, self._flies_ours, self._flies_own = True, True, False
             self._withheld = self._withheld if self._withheld != _IDLE else ""
         elif message.state == PlanState.EXECUTING and now_s - self._aborted_s >= _ABORTS_S:
             self._take_own_plan(message.plan_id)
@@ -100,7 +101,7 @@ class FollowedVehicle:
         else:
             self._withheld = self._sent_on = ""
             self._plan_before = plan_id
-        self._flew, self._flies_ours = True, False
+        self._flew, self._flies_ours, self._flies_own = True, False, True
 
     @property
     def may_be_asked(self) -> bool:

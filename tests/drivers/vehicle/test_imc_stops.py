@@ -51,6 +51,26 @@ def test_a_plan_stopped_on_board_is_started_again_only_after_a_plan_of_the_vehic
     talk.take_over()
 
 
+def test_a_plan_of_the_vehicles_own_stopped_on_board_is_not_followed_by_the_payloads() -> None:
+    survey = imc.PlanControlState(PlanState.EXECUTING, "survey")
+    talk = Talk()
+    talk.hear(survey)
+    stopped = imc.PlanControlState(PlanState.READY, "survey", last_outcome=2)
+    talk.hear(imc.VehicleState(OpMode.SERVICE), stopped)
+    for _ in range(2):
+        talk.now_s += 61.0
+        assert_not_asked(talk, "was stopped on board", stopped)
+    talk.hear(survey)
+    talk.take_over()
+
+
+def test_a_plan_of_the_vehicles_own_that_is_done_may_be_followed_by_the_payloads() -> None:
+    talk = Talk()
+    talk.hear(imc.PlanControlState(PlanState.EXECUTING, "survey"))
+    talk.hear(imc.PlanControlState(PlanState.READY, "survey", last_outcome=1))
+    talk.take_over()
+
+
 def test_a_vehicle_sent_on_another_plan_is_left_alone_until_it_flies_a_further_one() -> None:
     survey, home = (imc.PlanControlState(PlanState.EXECUTING, plan) for plan in ("survey", "home"))
     talk = Talk()
