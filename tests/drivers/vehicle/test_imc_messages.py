@@ -39,7 +39,9 @@ NEEDS_IMCPY = pytest.mark.skipif(
 OWN = (imc.MineContact, imc.MineContactTaken)
 TIME_S = 1_700_000_000.25
 
-# Made with imcpy 1.1.2, from source 0x6000/5 to 0x001E at TIME_S if not said otherwise.
+OF_VEHICLE = (imc.EstimatedState, imc.Abort, imc.PlanControlState, imc.VehicleState, imc.FollowRefState, imc.Announce)
+
+# Made with imcpy 1.1.2 at TIME_S: from source 0x6000/5 to 0x001E, those of a vehicle from 0x001E/38 to anyone.
 GOLDEN: dict[str, ImcMessage] = {
     "54fe9600000000001040fc54d9410060051e00ff4a31": imc.Heartbeat(),
     "54fe5e01580000001040fc54d9411e0026ffffff71ac8bdb6800e73fca32c4b12e6ec3bf00000000"
@@ -68,6 +70,20 @@ GOLDEN: dict[str, ImcMessage] = {
     "0a006d636d5f7265706c616e00040900546f74616c3d3132300000000000000b00706c616e206c6f61646564953b": imc.PlanControl(
         1, 0, 7, "mcm_replan", arg=imc.PlanStatistics("mcm_replan", 0, 4, "Total=120"), info="plan loaded"
     ),
+    "54fe2602000000001040fc54d9411e0026ffffff5442": imc.Abort(),
+    "54fe30021b0000001040fc54d9411e0026ffffff0107006175765f6d636dffffffff000080bf0000ff"
+    "ffffffffff02857c": imc.PlanControlState(1, "auv_mcm", last_outcome=2),
+    "54fef401260000001040fc54d9411e0026ffffff00000000ffff0000000000000000ffff0000000000"
+    "070061626f727465640000000000000000fe61": imc.VehicleState(0, last_error="aborted"),
+    "54fee0012e0000001040fc54d9411e0026ffffff0060ffdf01079201000000000000f83f0091010000"
+    "4040025305a3923a01e73f5396218e7571c3bf000070410202e996": imc.FollowRefState(
+        0x6000, 255, imc.Reference(7, imc.DesiredSpeed(1.5), imc.DesiredZ(3.0, 2), 0.7189, -0.1519, 15.0), 2, 2
+    ),
+    "54fe9700210000001040fc54d9411e0026ffffff06006c6175762d3102ffff5305a3923a01e73f5396"
+    "218e7571c3bf00000000000000b6": imc.Announce("lauv-1", 2, lat=0.7189, lon=-0.1519),
+    "54fe0100180000001040fc54d9410060051e00ff020014007468657265206973206e6f20706f736974696f6e074e": imc.EntityState(
+        2, 0, "there is no position"
+    ),
     "54fe2003270000001040fc54d9410060051e00ff08004d4c432d303030315305a3923a01e73f5396"
     "218e7571c3bf00009441010000000000000000ba36": (imc.Target("MLC-0001", 0.7189, -0.1519, 18.5, 1)),
 }
@@ -76,7 +92,7 @@ GOLDEN: dict[str, ImcMessage] = {
 @pytest.mark.parametrize(("golden", "message"), GOLDEN.items(), ids=lambda value: type(value).__name__)
 def test_golden_bytes_are_read_and_written(golden: str, message: ImcMessage) -> None:
     wired = bytes.fromhex(golden)
-    source, entity, to = (0x1E, 38, 0xFFFF) if isinstance(message, imc.EstimatedState) else (0x6000, 5, 0x1E)
+    source, entity, to = (0x1E, 38, 0xFFFF) if isinstance(message, OF_VEHICLE) else (0x6000, 5, 0x1E)
     assert packed(message, source, entity=entity, to=to, time_s=TIME_S) == wired
     payload = wired[HEADER_BYTES:-2]
     number = int.from_bytes(wired[2:4], "little")
