@@ -15,9 +15,9 @@ import numpy as np
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import NavSample
 from drivers.links.can_frame import CanFrame
-from drivers.vehicle.dialect import Command, GoTo
+from drivers.vehicle.dialect import Command, GoTo, Steer, Vertical
 from sim_replay.fakes.navigation import Message
-from sim_replay.fakes.vehicles.fake_vehicle import FakeController
+from sim_replay.fakes.vehicles.fake_vehicle import FakeController, Stoppable
 
 Report = Callable[[str, dict[str, Any]], None]
 
@@ -43,6 +43,7 @@ class ReportingController:
         self._last_command: Command | None = None
         self._before: Counter[str] = Counter()
         self._taken_back = False
+        self._heading_rad = 0.0  # true
         self.is_talking_nonsense = False
         self.granted_once = asyncio.Event()
 
@@ -60,6 +61,12 @@ class ReportingController:
         """Return the command to fly now; None: the vehicle's own plan."""
         return self._controller.command if self._controller.in_control else None
 
+    @property
+    def steered(self) -> Command | None:
+        """Return what the vehicle does now: the command, or, where it idles, as good as nothing; None: its own plan."""
+        idles = isinstance(self._controller, Stoppable) and self._controller.is_idle
+        return Steer(self._heading_rad, Vertical("depth", 0.0), 0.0) if idles else self.command
+
     def power_up(self, now_s: float) -> None:
         self._controller.power_up(now_s)
         self._report_changes()
@@ -73,12 +80,28 @@ class ReportingController:
             self._report_changes()
             self._taken_back = False
 
+    def stop(self, now_s: float, *, by_abort: bool) -> None:
+        """Stop the vehicle as a person does, by an Abort or on board."""
+        assert isinstance(self._controller, Stoppable)
+        stop = self._controller.abort if by_abort else self._controller.stop_plan
+        self._taken_back = True
+        stop(now_s)
+        self._report_changes()
+        self._taken_back = False
+
+    def start_plan(self, now_s: float) -> None:
+        """Start the vehicle's own plan, as a person does."""
+        assert isinstance(self._controller, Stoppable)
+        self._controller.start_plan(now_s)
+        self._report_changes()
+
     def connected(self, now_s: float) -> None:
         self._controller.connected(now_s)
         self._report_changes()
 
     def tick(self, sample: NavSample, now_s: float) -> list[Message]:
         """Return the messages due at the pose that the vehicle believes; sample.time_s: UTC."""
+        self._heading_rad = sample.heading_rad
         messages = list(self._controller.tick(sample, _is_there(sample, self.command), now_s))
         self._report_changes()
         return self._with_nonsense(messages)

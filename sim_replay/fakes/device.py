@@ -20,6 +20,7 @@ from drivers.links.can_frame import CanFrame
 from sim_replay.fakes.controller import Report, ReportingController
 from sim_replay.fakes.feed import TimedEvent
 from sim_replay.fakes.job import (
+    Abort,
     ClockStep,
     Damage,
     Fault,
@@ -33,6 +34,7 @@ from sim_replay.fakes.job import (
     PowerOff,
     Revoke,
     Stall,
+    StopPlan,
     Unplug,
     WrongBaud,
 )
@@ -270,6 +272,12 @@ class FakeDevice:
             case Revoke():
                 assert self._controller is not None
                 self._controller.set_willing(not on, time.monotonic())
+            case Abort() | StopPlan():
+                assert self._controller is not None
+                if on:
+                    self._controller.stop(time.monotonic(), by_abort=isinstance(fault, Abort))
+                else:
+                    self._controller.start_plan(time.monotonic())
             case Nonsense():
                 assert self._controller is not None
                 self._controller.is_talking_nonsense = on

@@ -85,6 +85,15 @@ class Revoke(_Fault, frozen=True, kw_only=True, tag="revoke"):
     """Revoke control and do not grant it again before the fault ends. Vehicles only."""
 
 
+class Abort(_Fault, frozen=True, kw_only=True, tag="abort"):
+    """Abort whatever goes on, as a person does by the vehicle's network, and start its plan when the fault ends. IMC
+    only."""
+
+
+class StopPlan(_Fault, frozen=True, kw_only=True, tag="stop_plan"):
+    """Stop whatever plan runs, as a person does on board, and start its own when the fault ends. IMC only."""
+
+
 class Nonsense(_Fault, frozen=True, kw_only=True, tag="nonsense"):
     """Repeat every message, cut short or changed. Vehicles only."""
 
@@ -114,6 +123,8 @@ Fault: TypeAlias = (
     | Freeze
     | Offset
     | Revoke
+    | Abort
+    | StopPlan
     | Nonsense
     | Misreport
     | Flood
@@ -156,6 +167,10 @@ class Device(_Record, frozen=True, kw_only=True):
             if isinstance(fault, Freeze | Offset) and (self.is_sonar or self.is_vehicle):
                 raise ValueError(
                     f"a device '{self.device}' is not a navigation unit; freeze and offset need one. Remove the fault"
+                )
+            if isinstance(fault, Abort | StopPlan) and self.device != "imc":
+                raise ValueError(
+                    f"a device '{self.device}' cannot be aborted: abort and stop_plan need 'imc'. Remove the fault"
                 )
             if not self.is_vehicle and (isinstance(fault, Revoke | Nonsense | Misreport) or fault.after == "grant"):
                 raise ValueError(

@@ -148,10 +148,10 @@ class FakeVehicle:
             for device in self.devices.values():
                 device.give_until(number / self._rate_hz)
             await asyncio.sleep(max(self._start_s + (number - _BLOCK) / self._rate_hz - time.monotonic(), 0.0))
-            self._vehicle.steer(self._controller.command)
+            self._vehicle.steer(self._controller.steered)
             poses = self._vehicle.fly(_BLOCK, self._rate_hz)
             reported = [self._navigation.reported(pose, self._sea.altitude_m(pose)) for pose in poses]
-            silent = self._vehicle.done and self._controller.command is None
+            silent = self._vehicle.done and self._controller.steered is None
             pings: list[Ping] = [] if silent else await asyncio.to_thread(self._sound, poses, number, reported)
             late_s = time.monotonic() - self._start_s - number / self._rate_hz
             if late_s > 0.0:

@@ -12,6 +12,12 @@ CONTACT: Final = re.compile(r"^contact (\S+) (?:new|updated): (\S+), p_mine (\S+
 """The line with which the console announces a contact."""
 
 
+def announced_in(journal: bytes) -> list[tuple[int, str]]:
+    """List event and contact of each whole line of contacts.jsonl."""
+    records = [json.loads(line) for line in journal.split(b"\n")[:-1]]
+    return [(record["event"], record["contact"]["properties"]["id"]) for record in records]
+
+
 def not_in_journal(console: Sequence[str], journal: bytes) -> tuple[str, ...]:
     """List the console's lines of contacts which no whole line of contacts.jsonl holds with the same figures."""
     held = []

@@ -80,6 +80,13 @@ def pings_waiting(health: Path) -> float:
     return 0.0
 
 
+def health_age_s(health: Path, written_last: Path) -> float:
+    """Read how old the record of health was when a later file was written, s; NaN without either."""
+    with contextlib.suppress(AuvMcmError, OSError):
+        return written_last.stat().st_mtime - read_health(health).utc_s
+    return math.nan
+
+
 def steady(share: float, samples: Sequence[Sample]) -> tuple[str, str, bool]:
     """Judge whether nothing grows by more than a share of its median over the run.
 

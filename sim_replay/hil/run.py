@@ -19,24 +19,16 @@ import yaml
 from auv_mcm.errors import HardwareError
 from auv_mcm.settings.config import Config
 from auv_mcm.shell.health.files import HEALTH
+from auv_mcm.shell.recovery import JOURNAL
 from auv_mcm.shell.whole_files import make_directory, write_file
 from sim_replay.fakes.job import Job, VehicleJob
 from sim_replay.hil.evidence import Line, Report, Restart
 from sim_replay.hil.joined_twin import lost_by_kills, problems_of
 from sim_replay.hil.power_cut import cut_power
 from sim_replay.hil.process import GRACE_S, Process
-from sim_replay.hil.resources import Sample, pings_waiting, sampled
-from sim_replay.hil.scenario import (
-    AsReplayed,
-    JoinedAsTwin,
-    Kill,
-    Read,
-    Restarted,
-    Scenario,
-    Steady,
-    service_config,
-    service_yaml,
-)
+from sim_replay.hil.resources import Sample, health_age_s, pings_waiting, sampled
+from sim_replay.hil.rules import AsReplayed, JoinedAsTwin, Restarted, Steady
+from sim_replay.hil.scenario import Kill, Read, Scenario, service_config, service_yaml
 from sim_replay.hil.verdict import Evidence, Placed, contacts_of, targets_of
 from sim_replay.logs.recorded import RecordedMission
 from sim_replay.replay import replay
@@ -108,6 +100,9 @@ def run_scenario(read: Read, folder: Path, progress: Callable[[str], None]) -> E
         ended_s=live.ended_s,
         lost_s=lost_by_kills(results.resolve(), live.restarts) if Restarted in asked else (),
         samples=live.samples,
+        stored=contacts.get("features", ()),
+        journal=_read(results / JOURNAL),
+        health_age_s=health_age_s(results / HEALTH, results / "summary.json"),
     )
 
 
@@ -471,10 +466,15 @@ def _reports(device: Process, time_of: MissionTime) -> Iterator[tuple[str | None
 
 def _read_json(path: Path) -> Any:
     """Read a JSON file, {} if it is not there."""
+    return json.loads(_read(path) or b"{}")
+
+
+def _read(path: Path) -> bytes:
+    """Read a file, b"" if it is not there."""
     try:
-        return json.loads(path.read_bytes())
+        return path.read_bytes()
     except FileNotFoundError:
-        return {}
+        return b""
 
 
 def _interruptible(live: Coroutine[Any, Any, _Live]) -> _Live:

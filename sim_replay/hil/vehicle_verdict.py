@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from datetime import datetime
 from itertools import pairwise
 from typing import Any, Final, TypeAlias
 
+from auv_mcm.records import EARLY_NUMBERS, contact_number
 from sim_replay.hil.evidence import Line, Report
-from sim_replay.hil.scenario import AboveFloor, OwnPlanAtEnd, Passed, ReportedInTime, Silence
+from sim_replay.hil.rules import AboveFloor, LeftAlone, OwnPlanAtEnd, Passed, ReportedAsStored, ReportedInTime, Silence
 
 Judged: TypeAlias = tuple[str, str, bool]
 """What was expected, what was found, and whether it is that."""
@@ -18,6 +20,10 @@ _CONTACT: Final = re.compile(r"^contact C(\d+) (?:new|updated): \w+, p_mine (\d\
 _FLOOR_WITHIN_S: Final = 1.5  # s around a command whose poses give the floor below it; one comes each second
 _AT_TARGET_M: Final = 5.0  # m from a target of the truth: chosen, five times what contacts are off under command
 _M_PER_DEG: Final = 111_195.0  # m, of latitude on a sphere of 6371 km
+_PLACE_WITHIN_DEG: Final = 3e-6  # 0.3 m of latitude: a wire has steps of 1e-4 minutes
+_TIME_WITHIN_S: Final = 0.1
+_SIZE_WITHIN_M: Final = 0.06  # m: a wire has steps of 0.1 m
+_STOPS: Final = ("abort", "stop_plan")  # faults by which a person stops a vehicle
 _P_MINE_WITHIN: Final = 0.02  # two digits on the console, a byte on some wires
 
 
@@ -52,6 +58,52 @@ def reported_in_time(rule: ReportedInTime, lines: Sequence[Line], reports: Seque
             late.append(f"C{number:05d} of {at_s:.1f} s" + (f" after {min(after_s):.1f} s" if after_s else " never"))
     outcome = "; ".join(late) or f"{n_announced} contacts, the slowest {slowest_s:.2f} s after it was announced"
     return expected, outcome, bool(n_announced) and not late
+
+
+def reported_as_stored(
+    rule: ReportedAsStored, stored: Sequence[Mapping[str, Any]], reports: Sequence[Report]
+) -> Judged:
+    """Check that a vehicle was left with the contacts that contacts.geojson holds, and with no early one."""
+    expected = f"the last reports to '{rule.device}' are the contacts stored, p_mine {rule.min_p_mine:g} or more"
+    last = {details["number"]: details for details in _details(reports, "contact")}
+    problems = [
+        f"early contact {number} was not taken back"
+        for number, details in last.items()
+        if number > EARLY_NUMBERS and (details["p_mine"] or details["n_views"])
+    ]
+    features = {contact_number(feature["properties"]["id"]): feature for feature in stored}
+    wanted = {n for n, feature in features.items() if feature["properties"]["p_mine"] >= rule.min_p_mine}
+    problems += [f"C{number:05d} was not reported" for number in sorted(wanted - last.keys())]
+    kept = {number: details for number, details in last.items() if number <= EARLY_NUMBERS}
+    problems += [f"C{number:05d} is not stored" for number in sorted(kept.keys() - features.keys())]
+    for number in sorted(kept.keys() & features.keys()):
+        problems += [f"C{number:05d}: {words}" for words in _differences(kept[number], features[number])]
+    if not wanted:
+        problems.append("nothing is stored that had to be reported")
+    found = "; ".join(problems) or f"{len(kept)} contacts as stored, {len(last) - len(kept)} early ones taken back"
+    return expected, found, not problems
+
+
+def _differences(reported: Mapping[str, Any], feature: Mapping[str, Any]) -> list[str]:
+    """List in which values a report differs from a stored contact by more than wires round, in words."""
+    properties = feature["properties"]
+    longitude_deg, latitude_deg = feature["geometry"]["coordinates"][:2]
+    numbers = {
+        "latitude_deg": (latitude_deg, _PLACE_WITHIN_DEG),
+        "longitude_deg": (longitude_deg, _PLACE_WITHIN_DEG),
+        "time_s": (datetime.fromisoformat(properties["time"]).timestamp(), _TIME_WITHIN_S),
+        "p_mine": (properties["p_mine"], _P_MINE_WITHIN),
+        "n_views": (properties["n_views"], 0.0),
+        **{key: (properties[key], _SIZE_WITHIN_M) for key in ("sigma_m", "length_m", "width_m", "height_m", "depth_m")},
+    }
+    found = [
+        f"{key} {reported[key]} where {value} is stored"
+        for key, (value, within) in numbers.items()
+        if (reported[key] is None) != (value is None) or (value is not None and abs(reported[key] - value) > within)
+    ]
+    if reported["classification"] != properties["class"]:
+        found.append(f"a {reported['classification']} where a {properties['class']} is stored")
+    return found
 
 
 def n_passed(rule: Passed, reports: Sequence[Report]) -> int:
@@ -162,6 +214,28 @@ def own_plan_after(rule: Silence, killed_s: float | None, reports: Sequence[Repo
         return expected, "it was not released, or not seen afterwards", False
     found = f"released after {released_s[0]:.1f} s, commanded in {sum(later)} of {len(later)} poses after that"
     return expected, found, released_s[0] <= rule.within_s and not any(later)
+
+
+def left_alone(rule: LeftAlone, reports: Sequence[Report]) -> Judged:
+    """Check that a vehicle that a person stopped was neither asked nor commanded until it flew its own plan again."""
+    expected = f"'{rule.device}' is left alone while a person has stopped it, and commanded again afterwards"
+    stops_s: list[float] = []
+    ends_s: list[float] = []
+    for report in reports:
+        if report.what in ("fault", "mended") and report.details["do"] in _STOPS:
+            (stops_s if report.what == "fault" else ends_s).append(report.at_s)
+    if not stops_s or len(ends_s) != len(stops_s):
+        return expected, "it was not stopped, or not started again", False
+    asked = [
+        report
+        for report in reports
+        for stop_s, end_s in zip(stops_s, ends_s, strict=True)
+        if report.what in ("granted", "command") and stop_s < report.at_s < end_s
+    ]
+    n_later = sum(report.what == "command" and report.at_s > ends_s[-1] for report in reports)
+    words = ", ".join(f"{report.what} at {report.at_s:.1f} s" for report in asked[:3])
+    found = f"{words or 'nothing'} in {len(stops_s)} stops, {n_later} commands after the last"
+    return expected, found, not asked and bool(n_later)
 
 
 def _details(reports: Iterable[Report], what: str) -> Iterable[Mapping[str, Any]]:

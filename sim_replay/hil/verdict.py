@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from fnmatch import fnmatchcase
 from typing import Any, Final, NamedTuple, TypeAlias
@@ -15,10 +16,12 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from auv_mcm.geometry.geodesy import LocalFrame
+from sim_replay.hil.announced import announced_in
 from sim_replay.hil.evidence import Line, Report, Restart
 from sim_replay.hil.resources import Sample, steady
-from sim_replay.hil.scenario import (
+from sim_replay.hil.rules import (
     AboveFloor,
+    AnnouncedOnce,
     AnswersStop,
     AsReplayed,
     Counted,
@@ -27,17 +30,21 @@ from sim_replay.hil.scenario import (
     EndsWithin,
     ExitCode,
     Expectation,
+    FreshHealth,
     InsideFence,
     JoinedAsTwin,
+    LeftAlone,
     LineRule,
     NoticeRule,
     OwnPlanAtEnd,
     Passed,
     Reopened,
+    ReportedAsStored,
     ReportedInTime,
     ReportRule,
     Restarted,
     Rule,
+    SameCount,
     SettingsRule,
     Sharper,
     Silence,
@@ -49,10 +56,12 @@ from sim_replay.hil.scenario import (
 from sim_replay.hil.vehicle_verdict import (
     above_floor,
     inside_fence,
+    left_alone,
     n_passed,
     n_sharper,
     own_plan_after,
     own_plan_at_end,
+    reported_as_stored,
     reported_in_time,
 )
 
@@ -75,6 +84,8 @@ class Evidence(NamedTuple):
     service was killed by intent; stopped_s: when it was requested to stop. fence_deg: of the service's configuration.
     restarts: of the service, by intent. not_joined: what is wrong with the joined replay, None where nobody asked.
     ended_s: when the service had ended. lost_s: what each restart cost of the recording. samples: of its processes.
+    stored: features of contacts.geojson. journal: contacts.jsonl. health_age_s: of what
+    health.json states, at the service's end.
     """
 
     exit_code: int | None
@@ -92,6 +103,9 @@ class Evidence(NamedTuple):
     ended_s: float = math.nan
     lost_s: Sequence[float] = ()
     samples: Sequence[Sample] = ()
+    stored: Sequence[Mapping[str, Any]] = ()
+    journal: bytes = b""
+    health_age_s: float = math.nan
 
 
 class Verdict(NamedTuple):
@@ -161,6 +175,13 @@ def _answered(rule: AnswersStop, evidence: Evidence) -> tuple[str, str, bool]:
     )
 
 
+def _announced_once(journal: bytes) -> tuple[str, str, bool]:
+    announced = Counter(announced_in(journal))
+    twice = [f"{contact_id} of event {number}" for (number, contact_id), n in announced.items() if n > 1]
+    found = f"{', '.join(twice) or 'none'} of {len(announced)} twice"
+    return "no contact is announced twice for the same event", found, bool(announced) and not twice
+
+
 def _restarted(rule: Restarted, evidence: Evidence) -> tuple[str, str, bool]:
     expected = f"ready within {rule.ready_within_s:g} s of each kill, {rule.lost_s:g} s of the recording lost at most"
     if not evidence.restarts:
@@ -215,6 +236,12 @@ def _judged(rule: Rule, evidence: Evidence) -> tuple[str, str, bool]:
             problems = evidence.not_joined
             found = f"{len(evidence.restarts)} cuts: {'; '.join(problems or ()) or 'to the byte'}"
             return "the joined replay is that of its undisturbed twin", found, problems is not None and not problems
+        case FreshHealth():
+            age_s = evidence.health_age_s
+            expected = f"health.json is at most {rule.within_s:g} s off the service's end"
+            return expected, f"{age_s:.1f} s before it", abs(age_s) <= rule.within_s
+        case AnnouncedOnce():
+            return _announced_once(evidence.journal)
         case Restarted():
             return _restarted(rule, evidence)
         case Steady():
@@ -223,8 +250,10 @@ def _judged(rule: Rule, evidence: Evidence) -> tuple[str, str, bool]:
             return _of_device(rule, evidence, evidence.reports[rule.device])
 
 
-OfVehicle: TypeAlias = Passed | Sharper | ReportedInTime | InsideFence | AboveFloor | OwnPlanAtEnd | Silence
-OfDevice: TypeAlias = SettingsRule | DeviceRule | Reopened | ReportRule | OfVehicle
+OfVehicle: TypeAlias = (
+    Passed | Sharper | ReportedInTime | ReportedAsStored | InsideFence | AboveFloor | OwnPlanAtEnd | Silence | LeftAlone
+)
+OfDevice: TypeAlias = SettingsRule | DeviceRule | SameCount | Reopened | ReportRule | OfVehicle
 
 
 def _of_device(rule: OfDevice, evidence: Evidence, reports: Sequence[Report]) -> tuple[str, str, bool]:
@@ -235,8 +264,11 @@ def _of_device(rule: OfDevice, evidence: Evidence, reports: Sequence[Report]) ->
             n_explained = sum(rule.containing in settings for settings in reported)
             return _limited(rule, n_explained, f"times '{rule.device}' is set to '{rule.containing}'")
         case DeviceRule():
-            counters = next((report.details for report in reports if report.what == "counters"), {})
-            return _limited(rule, float(counters.get(rule.counter, 0)), f"{rule.counter} of '{rule.device}'")
+            return _limited(rule, _count_of(reports, rule.counter), f"{rule.counter} of '{rule.device}'")
+        case SameCount():
+            counted, seen = evidence.summary.get("counters", {}).get(rule.name, 0), _count_of(reports, rule.counter)
+            expected = f"{rule.name} is {rule.counter} of '{rule.device}', and more than 0"
+            return expected, f"{counted:g} and {seen:g}", counted == seen > 0
         case Reopened():
             return _reopened(rule, reports)
         case ReportRule():
@@ -260,6 +292,10 @@ def _of_device(rule: OfDevice, evidence: Evidence, reports: Sequence[Report]) ->
             return _limited(rule, n_sharper(reports, targets_deg), what)
         case ReportedInTime():
             return reported_in_time(rule, evidence.lines, reports)
+        case ReportedAsStored():
+            return reported_as_stored(rule, evidence.stored, reports)
+        case LeftAlone():
+            return left_alone(rule, reports)
         case InsideFence():
             return inside_fence(evidence.fence_deg, reports)
         case AboveFloor():
@@ -268,6 +304,11 @@ def _of_device(rule: OfDevice, evidence: Evidence, reports: Sequence[Report]) ->
             return own_plan_at_end(rule, reports)
         case Silence():
             return own_plan_after(rule, evidence.killed_s, reports)
+
+
+def _count_of(reports: Sequence[Report], counter: str) -> float:
+    """Read a counter of a device, 0 where it is missing."""
+    return float(next((report.details for report in reports if report.what == "counters"), {}).get(counter, 0))
 
 
 def _limited(rule: Counted, value: float, what: str, *, is_known: bool = True) -> tuple[str, str, bool]:

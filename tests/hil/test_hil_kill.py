@@ -16,8 +16,9 @@ from msgspec import structs
 from sim_replay.hil.announced import not_in_journal
 from sim_replay.hil.evidence import Restart
 from sim_replay.hil.resources import Sample, sampled, slope_of, steady
+from sim_replay.hil.rules import EndsWithin, ExitCode, Expectation, JoinedAsTwin, Restarted, Rule
 from sim_replay.hil.run import run_scenario
-from sim_replay.hil.scenario import EndsWithin, ExitCode, Expectation, JoinedAsTwin, Restarted, Rule, read_scenario
+from sim_replay.hil.scenario import read_scenario
 from sim_replay.hil.verdict import Evidence, judge
 
 LINE = "contact C00012 updated: cylinder, p_mine 0.91, 43.0931026 5.8874099, 2 views"

@@ -11,7 +11,8 @@ import pytest
 from auv_mcm.errors import UsageError
 from sim_replay.hil.evidence import Restart
 from sim_replay.hil.power_cut import cut_power, note_syncs
-from sim_replay.hil.scenario import Expectation, JoinedAsTwin, parse_scenario, read_scenario
+from sim_replay.hil.rules import Expectation, JoinedAsTwin
+from sim_replay.hil.scenario import parse_scenario, read_scenario
 from sim_replay.hil.verdict import Evidence, judge
 
 

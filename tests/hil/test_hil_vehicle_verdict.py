@@ -8,14 +8,16 @@ from typing import Any
 import pytest
 
 from sim_replay.hil.evidence import Line, Report
-from sim_replay.hil.scenario import AboveFloor, OwnPlanAtEnd, Passed, ReportedInTime, Silence
+from sim_replay.hil.rules import AboveFloor, LeftAlone, OwnPlanAtEnd, Passed, ReportedAsStored, ReportedInTime, Silence
 from sim_replay.hil.vehicle_verdict import (
     above_floor,
     inside_fence,
+    left_alone,
     n_passed,
     n_sharper,
     own_plan_after,
     own_plan_at_end,
+    reported_as_stored,
     reported_in_time,
 )
 
@@ -173,3 +175,91 @@ def floor_at(at_s: float, floor_m: float) -> Report:
 def test_commands_are_held_against_the_true_floor_around_them(commands: list[Report], holds: bool) -> None:
     poses = [floor_at(float(at_s), 18.0 if at_s < 8 else 15.0) for at_s in range(12)]
     assert above_floor(AboveFloor(device="vehicle", min_altitude_m=2.0), [*poses, *commands])[2] is holds
+
+
+def fault(at_s: float, what: str = "fault", do: str = "abort") -> Report:
+    return Report(at_s, what, {"do": do})
+
+
+STOP = (fault(10.0), fault(20.0, "mended"))
+LATER = Report(22.0, "command", {})
+
+
+@pytest.mark.parametrize(
+    ("reports", "holds"),
+    [
+        ([Report(9.0, "granted", {}), *STOP, LATER], True),
+        ([*STOP, Report(15.0, "granted", {}), LATER], False),
+        ([*STOP, Report(15.0, "command", {}), LATER], False),
+        ([*STOP, fault(30.0, do="stop_plan"), fault(40.0, "mended", "stop_plan"), Report(42.0, "command", {})], True),
+        ([*STOP, LATER, fault(30.0, do="stop_plan"), fault(40.0, "mended", "stop_plan")], False),
+        ([*STOP], False),
+        ([fault(10.0, do="revoke"), fault(20.0, "mended", "revoke"), LATER], False),
+        ([fault(10.0), LATER], False),
+    ],
+)
+def test_a_vehicle_that_a_person_stopped_is_left_alone_until_it_flies_again(reports: list[Report], holds: bool) -> None:
+    assert left_alone(LeftAlone(device="vehicle"), reports)[2] is holds
+
+
+REPORTED = {
+    "number": 3,
+    "p_mine": 0.75,
+    "n_views": 1,
+    "classification": "cylinder",
+    "time_s": 1_700_000_000.4,
+    "latitude_deg": 43.05,
+    "longitude_deg": 5.05,
+    "sigma_m": 1.0,
+    "depth_m": None,
+    "length_m": 1.95,
+    "width_m": 0.5,
+    "height_m": 0.5,
+}
+STORED = {
+    "geometry": {"coordinates": [5.05, 43.05]},
+    "properties": {
+        "id": "C00003",
+        "time": "2023-11-14T22:13:20.400Z",
+        "p_mine": 0.751,
+        "class": "cylinder",
+        "n_views": 1,
+        "sigma_m": 1.0,
+        "depth_m": None,
+        "length_m": 1.954,
+        "width_m": 0.5,
+        "height_m": 0.5,
+    },
+}
+
+
+def last_report(**changes: Any) -> Report:
+    return Report(9.0, "contact", {**REPORTED, **changes})
+
+
+EARLY = last_report(number=1_000_001)
+TAKEN_BACK = last_report(number=1_000_001, p_mine=0.0, n_views=0, classification="unknown")
+
+
+@pytest.mark.parametrize(
+    ("reports", "holds"),
+    [
+        ([last_report(p_mine=0.3), last_report()], True),
+        ([last_report(), last_report(p_mine=0.3)], False),
+        ([last_report(longitude_deg=5.0501)], False),
+        ([last_report(longitude_deg=-5.05)], False),
+        ([last_report(time_s=1_700_000_001.4)], False),
+        ([last_report(classification="sphere")], False),
+        ([last_report(depth_m=-12.0)], False),
+        ([last_report(length_m=0.5)], False),
+        ([last_report(n_views=2)], False),
+        ([last_report(), last_report(number=4)], False),
+        ([last_report(), EARLY, TAKEN_BACK], True),
+        ([last_report(), EARLY], False),
+        ([], False),
+    ],
+)
+def test_a_vehicle_is_left_with_the_contacts_that_are_stored(reports: list[Report], holds: bool) -> None:
+    rule = ReportedAsStored(device="vehicle", min_p_mine=0.2)
+    assert reported_as_stored(rule, [STORED], reports)[2] is holds
+    assert not reported_as_stored(rule, [], reports)[2]

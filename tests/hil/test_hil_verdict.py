@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
+import json
+import math
 from typing import Any
 
 import pytest
 
 from sim_replay.hil.evidence import Line, Report
-from sim_replay.hil.scenario import (
+from sim_replay.hil.rules import (
+    AnnouncedOnce,
     AnswersStop,
     AsReplayed,
     CounterRule,
     DeviceRule,
     ExitCode,
     Expectation,
+    FreshHealth,
     LineRule,
     NoticeRule,
     Reopened,
     Rule,
+    SameCount,
     SettingsRule,
     SummaryRule,
     TargetsFound,
@@ -185,3 +190,32 @@ def test_contacts_and_targets_are_read_from_their_files() -> None:
         {"lat": 0.0, "lon": 0.0, "is_target": False, "kind": "rock"},
     ]
     assert targets_of({"objects": scene_objects}) == [Placed(43.0, 5.0, 1.0, "wedge")]
+
+
+@pytest.mark.parametrize(("counted", "holds"), [(2, True), (3, False)])
+def test_a_counter_has_to_be_what_the_other_side_counted(counted: int, holds: bool) -> None:
+    same = SameCount(name="vehicle.reports_told", device="sonar", counter="device.skipped")
+    assert passes(same, summary={"counters": {"vehicle.reports_told": counted}}) is holds
+    assert not passes(same, summary={"counters": {}})
+    nothing = SameCount(name="vehicle.reports_told", device="sonar", counter="vehicle.reports")
+    assert not passes(nothing, summary={"counters": {}}), "of nothing on either side"
+
+
+@pytest.mark.parametrize(
+    ("announced", "holds"),
+    [
+        ([(7, "C00001"), (7, "C00002"), (9, "C00001")], True),
+        ([(7, "C00001"), (9, "C00001"), (7, "C00001")], False),
+        ([], False),
+    ],
+)
+def test_no_contact_is_announced_twice_for_the_same_event(announced: list[tuple[int, str]], holds: bool) -> None:
+    records = [{"event": number, "contact": {"properties": {"id": name}}} for number, name in announced]
+    journal = b"".join(json.dumps(record).encode() + b"\n" for record in records)
+    assert passes(AnnouncedOnce(), journal=journal) is holds
+    assert passes(AnnouncedOnce(), journal=journal + b'{"event": 7') is holds, "what was cut off counts for nothing"
+
+
+@pytest.mark.parametrize(("age_s", "holds"), [(0.5, True), (-0.5, True), (3600.0, False), (math.nan, False)])
+def test_health_has_to_state_the_time_of_the_services_end(age_s: float, holds: bool) -> None:
+    assert passes(FreshHealth(within_s=5.0), health_age_s=age_s) is holds

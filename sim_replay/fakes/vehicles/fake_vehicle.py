@@ -4,7 +4,7 @@ clock."""
 from __future__ import annotations
 
 from collections import Counter
-from typing import Protocol, TypeVar
+from typing import Protocol, TypeVar, runtime_checkable
 
 from auv_mcm.records import NavSample
 from drivers.vehicle.dialect import Command, ContactReport
@@ -70,4 +70,26 @@ class FakeController(Protocol[W]):
 
     def heard(self, data: W, now_s: float) -> list[W]:
         """Return answers to the host's data."""
+        ...
+
+
+@runtime_checkable
+class Stoppable(Protocol):
+    """Stop a vehicle as a person does, after which it idles until a person starts its plan again."""
+
+    @property
+    def is_idle(self) -> bool:
+        """Report whether it flies no plan."""
+        ...
+
+    def abort(self, now_s: float) -> None:
+        """Abort by a message that the payload hears as well."""
+        ...
+
+    def stop_plan(self, now_s: float) -> None:
+        """Stop whatever plan runs, on board: the payload hears of it by the vehicle's state alone."""
+        ...
+
+    def start_plan(self, now_s: float) -> None:
+        """Start the vehicle's own plan."""
         ...

@@ -1,9 +1,10 @@
 """Simulate the computer of a vehicle that speaks IMC as DUNE does: its plan engine and FollowReference manoeuvre.
 
 As there, references from any source but the manoeuvre's are ignored silently, each accepted one is answered by
-FollowRefState, and when none has come within the time-out that is reported once and the manoeuvre fails. Two points
-differ: after any other plan it goes on with its own, as under a mission supervisor, and it takes MineContact (1700)
-and answers MineContactTaken (1701).
+FollowRefState, and when none has come within the time-out that is reported once and the manoeuvre fails. After an
+Abort, or a plan stopped on board, it idles until a person starts a plan; whoever asks for one meanwhile gets it. Two
+points differ: after any other plan it goes on with its own, as under a mission supervisor, and it takes MineContact
+(1700) and answers MineContactTaken (1701).
 """
 
 from __future__ import annotations
@@ -35,11 +36,14 @@ from drivers.vehicle.imc_wire import ANY_ENTITY, ANYONE, ImcGrammar, ImcPacket, 
 
 ADDRESS: Final = 0x001E  # of the vehicle on IMC
 PLAN_ID: Final = "survey"  # its own
+OPERATOR: Final = 0x4001  # of the console that a person aborts from
 PLACE_RADIUS_M: Final = 5.0  # m within which the vehicle reports a place as reached
 
 _ENTITY: Final = 38  # that sends for the vehicle
 _FOLLOW_REFERENCE: Final = number_of(imc.FollowReference)
 _GOTO: Final = 450  # the manoeuvre of its own plan
+_NO_MANEUVER: Final = 0xFFFF
+_FAILURE: Final = 2  # PlanControlState.last_outcome: ended before it was done
 _TOLERANCE_M: Final = 15.0  # DUNE's, horizontal
 _VERTICAL_TOLERANCE_M: Final = 2.0  # m of depth within which it is near
 _SECOND_S: Final = 1.0  # s between heartbeats and states
@@ -66,6 +70,8 @@ class FakeImc:
     def _forget(self) -> None:
         self._framer.finish()
         self._booting = False
+        self._aborts: list[bytes] = []  # of the console, which the payload hears as well
+        self._idles = False
         self._known.clear()
         self._frame: LocalFrame | None = None
         self._pose: NavSample | None = None
@@ -113,6 +119,22 @@ class FakeImc:
         if self._follow is not None:
             self._end("another plan was started")
 
+    @property
+    def is_idle(self) -> bool:
+        return self._idles and self._follow is None
+
+    def abort(self, now_s: float) -> None:
+        time_s = 0.0 if self._pose is None else self._pose.time_s
+        self._aborts.append(packed(imc.Abort(), OPERATOR, entity=_ENTITY, time_s=time_s))
+        self._idle("aborted")
+
+    def stop_plan(self, now_s: float) -> None:
+        self._idle("plan stopped on board")
+
+    def start_plan(self, now_s: float) -> None:
+        self._idles, self._plan_id, self._follow, self._reference = False, PLAN_ID, None, None
+        self._outbox += [self._plan_state(), self._vehicle_state()]
+
     def connected(self, now_s: float) -> None:
         self._framer.finish()
         self._second_s = self._announce_s = -math.inf
@@ -135,7 +157,8 @@ class FakeImc:
             self._booting = False
             wires = [_wire_of_cpu(pose.time_s)]
         messages, self._outbox = [*self._outbox, *outgoing], []
-        return [*(self._wired(message) for message in messages), *wires]
+        aborts, self._aborts = self._aborts, []
+        return [*aborts, *(self._wired(message) for message in messages), *wires]
 
     def heard(self, data: bytes, now_s: float) -> list[bytes]:
         for framed in self._framer.feed(data):
@@ -162,7 +185,7 @@ class FakeImc:
             case imc.EntityState():
                 self._health.append(f"{EntityStatus(message.state).name.lower()}: {message.description}")
             case imc.Abort():
-                self._end("aborted")
+                self._idle("aborted")
             case _:
                 pass
 
@@ -246,10 +269,16 @@ class FakeImc:
         self._outbox.append(imc.MineContactTaken(*key, 1))
 
     def _end(self, why: str) -> None:
-        """Return to its own plan."""
+        """Return to its own plan, or to idling."""
         if self._follow is None:
             return
         self._plan_id, self._follow, self._reference, self._arrived = PLAN_ID, None, None, False
+        self._outbox += [self._plan_state(), self._vehicle_state(why)]
+
+    def _idle(self, why: str) -> None:
+        """Stop whatever runs, and start nothing by itself."""
+        self._idles = True
+        self._follow, self._reference, self._arrived = None, None, False
         self._outbox += [self._plan_state(), self._vehicle_state(why)]
 
     def _reply(self, message: imc.PlanControl, text: str, *, failed: bool = False) -> None:
@@ -271,16 +300,18 @@ class FakeImc:
         )
 
     def _plan_state(self) -> imc.PlanControlState:
+        if self.is_idle:
+            return imc.PlanControlState(PlanState.READY, self._plan_id, last_outcome=_FAILURE)
         return imc.PlanControlState(PlanState.EXECUTING, self._plan_id, man_type=self._maneuver)
 
     def _vehicle_state(self, why: str = "") -> imc.VehicleState:
-        return imc.VehicleState(
-            OpMode.BOOT if self._booting else OpMode.MANEUVER, maneuver_type=self._maneuver, last_error=why
-        )
+        mode = OpMode.SERVICE if self.is_idle else OpMode.MANEUVER
+        return imc.VehicleState(OpMode.BOOT if self._booting else mode, maneuver_type=self._maneuver, last_error=why)
 
     @property
     def _maneuver(self) -> int:
-        return _GOTO if self._follow is None else _FOLLOW_REFERENCE
+        own = _NO_MANEUVER if self._idles else _GOTO
+        return own if self._follow is None else _FOLLOW_REFERENCE
 
     def _estimated(self, pose: NavSample) -> ImcMessage:
         """Report the pose as DUNE does: offsets from where it was started."""

@@ -208,9 +208,47 @@ def test_nonsense_is_counted() -> None:
         max_size=6,
     )
 )
-def test_whatever_it_hears_it_never_raises_and_flies_its_own_plan(chunks: list[bytes]) -> None:
+def test_whatever_it_hears_it_never_raises_and_obeys_none_of_it(chunks: list[bytes]) -> None:
     wire = Wire()
     for chunk in chunks:
         wire.fake.heard(chunk, 1.0)
     assert wire.fake.command is None
     assert wire.tick(2.0)
+
+
+def states_of(messages: list[ImcMessage]) -> list[tuple[int, str, int]]:
+    return [
+        (each.state, each.plan_id, each.last_outcome) for each in messages if isinstance(each, imc.PlanControlState)
+    ]
+
+
+@pytest.mark.parametrize("how", ["abort of a person", "abort heard", "stop on board"])
+def test_after_a_stop_it_idles_until_a_person_starts_its_plan(how: str) -> None:
+    wire = Wire()
+    wire.start()
+    wire.exchange(a_reference())
+    if how == "abort heard":
+        wire.exchange(imc.Abort(), source=OTHER)
+    else:
+        (wire.fake.abort if how == "abort of a person" else wire.fake.stop_plan)(1.0)
+    told = wire.tick(2.0)
+    assert [message for message in told if isinstance(message, imc.Abort)] == [imc.Abort()] * (
+        how == "abort of a person"
+    )
+    assert wire.fake.is_idle
+    assert not wire.fake.in_control
+    for now_s in (3.0, 60.0):
+        assert states_of(wire.tick(now_s)) == [(PlanState.READY, "theirs", 2)]
+    wire.fake.start_plan(61.0)
+    assert not wire.fake.is_idle
+    assert set(states_of(wire.tick(62.0))) == {(PlanState.EXECUTING, PLAN_ID, 0)}
+
+
+def test_while_it_idles_it_obeys_whoever_starts_a_plan_and_idles_again_afterwards() -> None:
+    wire = Wire()
+    wire.fake.stop_plan(1.0)
+    wire.start()
+    assert wire.fake.in_control
+    wire.exchange(imc.Reference(RefFlag.MANDONE))
+    assert wire.fake.is_idle
+    assert states_of(wire.tick(5.0))[-1][0] == PlanState.READY
