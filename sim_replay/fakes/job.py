@@ -86,8 +86,7 @@ class Revoke(_Fault, frozen=True, kw_only=True, tag="revoke"):
 
 
 class Abort(_Fault, frozen=True, kw_only=True, tag="abort"):
-    """Abort whatever goes on, as a person does by the vehicle's network, and start its plan when the fault ends. IMC
-    only."""
+    """Abort whatever goes on, as a person does, and start the vehicle's plan when the fault ends. IMC only."""
 
 
 class StopPlan(_Fault, frozen=True, kw_only=True, tag="stop_plan"):

@@ -15,7 +15,7 @@ import resource
 import signal
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -41,7 +41,10 @@ class Process:
         self._reading = asyncio.ensure_future(self._read())
 
     @classmethod
-    async def begin(cls, what: str, arguments: Sequence[str], log: Path) -> Process:
+    async def begin(
+        cls, what: str, arguments: Sequence[str], log: Path, environment: Mapping[str, str] | None = None
+    ) -> Process:
+        """Start it. environment: besides this process's own."""
         libc = ctypes.CDLL(None)
 
         def prepare() -> None:
@@ -55,6 +58,7 @@ class Process:
             stdin=asyncio.subprocess.PIPE,
             stdout=asyncio.subprocess.PIPE,
             stderr=asyncio.subprocess.STDOUT,
+            env={**os.environ, **(environment or {})},
             start_new_session=True,  # Ctrl-C is for us: whoever is to stop first is our affair
             preexec_fn=prepare,
         )

@@ -142,6 +142,12 @@ class FreshHealth(_Rule, frozen=True, kw_only=True, tag="fresh_health"):
     within_s: Annotated[float, Meta(gt=0.0)]
 
 
+class Watched(_Rule, frozen=True, kw_only=True, tag="watched"):
+    """Expect the service to report to its manager that it is ready and stops, and signs of life in between."""
+
+    watchdog_s: Annotated[float, Meta(gt=0.0)]
+
+
 class Restarted(_Rule, frozen=True, kw_only=True, tag="restarted"):
     """Expect the service to be ready this soon after each of `restarts_s`, with so little of its recording lost.
 
@@ -248,7 +254,7 @@ class LeftAlone(_Rule, frozen=True, kw_only=True, tag="left_alone"):
     device: str
 
 
-class ReportedAsStored(_Rule, frozen=True, kw_only=True, tag="told_as_stored"):
+class ReportedAsStored(_Rule, frozen=True, kw_only=True, tag="reported_as_stored"):
     """Expect the last report of each contact to a vehicle to say what contacts.geojson says.
 
     Every contact with min_p_mine or more is reported, there must be one or more, and early contacts are taken back.
@@ -300,6 +306,7 @@ Rule: TypeAlias = (
     | JoinedAsTwin
     | AnnouncedOnce
     | FreshHealth
+    | Watched
     | Restarted
     | Steady
     | SameCount

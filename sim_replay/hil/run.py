@@ -27,8 +27,9 @@ from sim_replay.hil.joined_twin import lost_by_kills, problems_of
 from sim_replay.hil.power_cut import cut_power
 from sim_replay.hil.process import GRACE_S, Process
 from sim_replay.hil.resources import Sample, health_age_s, pings_waiting, sampled
-from sim_replay.hil.rules import AsReplayed, JoinedAsTwin, Restarted, Steady
+from sim_replay.hil.rules import AsReplayed, JoinedAsTwin, Restarted, Steady, Watched
 from sim_replay.hil.scenario import Kill, Read, Scenario, service_config, service_yaml
+from sim_replay.hil.service_manager import ServiceManager
 from sim_replay.hil.verdict import Evidence, Placed, contacts_of, targets_of
 from sim_replay.logs.recorded import RecordedMission
 from sim_replay.replay import replay
@@ -100,6 +101,7 @@ def run_scenario(read: Read, folder: Path, progress: Callable[[str], None]) -> E
         ended_s=live.ended_s,
         lost_s=lost_by_kills(results.resolve(), live.restarts) if Restarted in asked else (),
         samples=live.samples,
+        managed=live.managed,
         stored=contacts.get("features", ()),
         journal=_read(results / JOURNAL),
         health_age_s=health_age_s(results / HEALTH, results / "summary.json"),
@@ -120,6 +122,7 @@ class _Live(msgspec.Struct):
     restarts: Sequence[Restart]
     ended_s: float
     samples: Sequence[Sample]
+    managed: Sequence[Line]
 
 
 class _Run:
@@ -133,11 +136,14 @@ class _Run:
         self._services: list[Process] = []  # one per start
         self._restarts: list[Restart] = []
         self._samples: list[Sample] = []
+        rules = [expectation.expected for expectation in scenario.expectations]
+        self._manager = ServiceManager(next((rule.watchdog_s for rule in rules if isinstance(rule, Watched)), None))
         self._is_down = False
         self._all_restarted = asyncio.Event()
         self._start_s = 0.0
 
     async def live(self, jobs: Sequence[Job | VehicleJob]) -> _Live:
+        self._manager.listen()
         try:
             for job in jobs:
                 self._devices.append(await self._device(job))
@@ -159,6 +165,7 @@ class _Run:
                 await self._wait(_ALONE_S)
         finally:
             await asyncio.gather(*(process.end() for process in (*self._devices, *self._services)))
+            self._manager.close()
         time_of = self._mission_time()
         lines = [Line(time_of.at(at_s), text) for service in self._services for at_s, text in service.lines]
         reports: dict[str, list[Report]] = {name: [] for name in self._scenario.devices}
@@ -174,6 +181,7 @@ class _Run:
             restarts=self._restarts,
             ended_s=time_of.at(ended_s),
             samples=self._samples,
+            managed=[Line(time_of.at(at_s), state) for at_s, state in self._manager.reports],
         )
 
     async def _device(self, job: Job | VehicleJob) -> Process:
@@ -279,7 +287,7 @@ class _Run:
         if not self._services:
             (self._folder / SERVICE_LOG).unlink(missing_ok=True)
             (self._folder / _SYNCED).unlink(missing_ok=True)
-        service = await Process.begin("the service", arguments, self._folder / SERVICE_LOG)
+        service = await Process.begin("the service", arguments, self._folder / SERVICE_LOG, self._manager.environment)
         self._services.append(service)
         await service.printed("ready: ", _READY_S)
         return service

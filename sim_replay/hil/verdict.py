@@ -51,8 +51,10 @@ from sim_replay.hil.rules import (
     Steady,
     SummaryRule,
     TargetsFound,
+    Watched,
     Window,
 )
+from sim_replay.hil.service_manager import watched
 from sim_replay.hil.vehicle_verdict import (
     above_floor,
     inside_fence,
@@ -85,7 +87,7 @@ class Evidence(NamedTuple):
     restarts: of the service, by intent. not_joined: what is wrong with the joined replay, None where nobody asked.
     ended_s: when the service had ended. lost_s: what each restart cost of the recording. samples: of its processes.
     stored: features of contacts.geojson. journal: contacts.jsonl. health_age_s: of what
-    health.json states, at the service's end.
+    health.json states, at the service's end. managed: what the service reported to its manager.
     """
 
     exit_code: int | None
@@ -106,6 +108,7 @@ class Evidence(NamedTuple):
     stored: Sequence[Mapping[str, Any]] = ()
     journal: bytes = b""
     health_age_s: float = math.nan
+    managed: Sequence[Line] = ()
 
 
 class Verdict(NamedTuple):
@@ -240,6 +243,8 @@ def _judged(rule: Rule, evidence: Evidence) -> tuple[str, str, bool]:
             age_s = evidence.health_age_s
             expected = f"health.json is at most {rule.within_s:g} s off the service's end"
             return expected, f"{age_s:.1f} s before it", abs(age_s) <= rule.within_s
+        case Watched():
+            return watched(rule, evidence.managed)
         case AnnouncedOnce():
             return _announced_once(evidence.journal)
         case Restarted():

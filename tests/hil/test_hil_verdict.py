@@ -26,6 +26,7 @@ from sim_replay.hil.rules import (
     SettingsRule,
     SummaryRule,
     TargetsFound,
+    Watched,
 )
 from sim_replay.hil.verdict import Evidence, Placed, contacts_of, judge, table_rows, targets_of
 
@@ -194,10 +195,10 @@ def test_contacts_and_targets_are_read_from_their_files() -> None:
 
 @pytest.mark.parametrize(("counted", "holds"), [(2, True), (3, False)])
 def test_a_counter_has_to_be_what_the_other_side_counted(counted: int, holds: bool) -> None:
-    same = SameCount(name="vehicle.reports_told", device="sonar", counter="device.skipped")
-    assert passes(same, summary={"counters": {"vehicle.reports_told": counted}}) is holds
+    same = SameCount(name="vehicle.reports_acknowledged", device="sonar", counter="device.skipped")
+    assert passes(same, summary={"counters": {"vehicle.reports_acknowledged": counted}}) is holds
     assert not passes(same, summary={"counters": {}})
-    nothing = SameCount(name="vehicle.reports_told", device="sonar", counter="vehicle.reports")
+    nothing = SameCount(name="vehicle.reports_acknowledged", device="sonar", counter="vehicle.reports")
     assert not passes(nothing, summary={"counters": {}}), "of nothing on either side"
 
 
@@ -219,3 +220,18 @@ def test_no_contact_is_announced_twice_for_the_same_event(announced: list[tuple[
 @pytest.mark.parametrize(("age_s", "holds"), [(0.5, True), (-0.5, True), (3600.0, False), (math.nan, False)])
 def test_health_has_to_state_the_time_of_the_services_end(age_s: float, holds: bool) -> None:
     assert passes(FreshHealth(within_s=5.0), health_age_s=age_s) is holds
+
+
+@pytest.mark.parametrize(
+    ("reported", "holds"),
+    [
+        ({1.0: "READY=1", 1.1: "WATCHDOG=1", 3.0: "WATCHDOG=1", 5.0: "STOPPING=1"}, True),
+        ({1.0: "READY=1", 1.1: "WATCHDOG=1", 5.0: "STOPPING=1"}, False),
+        ({1.0: "READY=1", 1.1: "WATCHDOG=1", 3.0: "WATCHDOG=1"}, False),
+        ({1.1: "WATCHDOG=1", 3.0: "WATCHDOG=1", 5.0: "STOPPING=1"}, False),
+        ({}, False),
+    ],
+)
+def test_signs_of_life_have_to_come_as_often_as_the_manager_asks(reported: dict[float, str], holds: bool) -> None:
+    managed = [Line(at_s, state) for at_s, state in reported.items()]
+    assert passes(Watched(watchdog_s=3.0), managed=managed) is holds
