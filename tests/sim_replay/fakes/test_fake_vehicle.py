@@ -270,6 +270,7 @@ def test_a_target_is_passed_where_it_comes_abeam_on_a_straight_run() -> None:
         ("{a: {device: imc, link: slcan}}", "does not go with a link"),
         ("{a: {device: vehicle_can, link: slcan, beside: pd6}}", "cannot share"),
         ("{a: {device: imc}, nav: {device: pd6, faults: [{do: revoke, at_s: 1}]}}", "not a vehicle"),
+        ("{a: {device: bluefin, faults: [{do: abort, at_s: 1}]}}", "cannot be aborted"),
         ("{a: {device: imc}, nav: {device: pd6, faults: [{do: stall, at_s: 1, after: grant}]}}", "not a vehicle"),
         ("{a: {device: imc, faults: [{do: freeze, at_s: 1}]}}", "not a navigation unit"),
         ("{a: {device: imc}, nav: {device: pd6, faults: [{do: misreport, at_s: 1}]}}", "not a vehicle"),
