@@ -15,7 +15,6 @@ if TYPE_CHECKING:
 
 _RUNTIME: Final = Path("/run/auv-mcm")  # the unit's RuntimeDirectory
 _WATCH_S: Final = 1.0  # s between two looks
-_LATE_PERIODS: Final = 3.0  # periods without a new record, after which the service does not run, or hangs
 _HOME_AND_CLEAR: Final = "\x1b[H\x1b[J"  # ECMA-48: to the first line, and erase from there
 
 
@@ -78,20 +77,12 @@ def _path(arguments: argparse.Namespace) -> Path:
     return Path(read_config(arguments.config).service.output_directory) / "latest" / HEALTH
 
 
-def _age_s(health: Health) -> float:
-    return time.time() - health.utc_s
-
-
-def _is_late(health: Health) -> bool:
-    """Find whether a record is too old, or of a later time: the clock was set back since, as at a start without one."""
-    return abs(_age_s(health)) > _LATE_PERIODS * health.period_s + 1.0  # a second: of writing, and of the start
-
-
 def _shown(health: Health) -> str:
     from auv_mcm.shell.health.text import health_table
 
-    text = health_table(health, _age_s(health))
-    if _is_late(health):
+    now_s = time.time()
+    text = health_table(health, now_s - health.utc_s)
+    if health.is_late(now_s):
         text += (
             f"\n\nTHIS IS OLD: a record is due each {health.period_s:g} s. The service does not run, or hangs: "
             "systemctl status auv-mcm"
@@ -102,4 +93,4 @@ def _shown(health: Health) -> str:
 def _exit_code(health: Health) -> int:
     from auv_mcm.errors import HardwareError
 
-    return HardwareError.exit_code if _is_late(health) or health.state == "fault" else 0
+    return HardwareError.exit_code if health.is_late(time.time()) or health.state == "fault" else 0

@@ -39,6 +39,7 @@ from sim_replay.view.mission_feed import MissionFeed
 from sim_replay.view.mission_files import (
     ContactFile,
     Overview,
+    is_silent,
     number,
     overview,
     read_json,
@@ -120,8 +121,7 @@ class ShownMission:
         self.generation = 0
         """Counts replays that were asked for at the page: what was shown before is outdated."""
         self._again, self._later = again, later
-        self._by = clean(by)
-        self._is_live = is_live
+        self._by, self._is_live = clean(by), is_live
         self._contacts = ContactFile(folder)
         self._overviews: list[Overview] = []
         self._overview_version = -1
@@ -166,8 +166,7 @@ class ShownMission:
         ]
         found = find_structures(members)
         self._part_of = {member.contact_id: one.id for one in found for member in one.members}
-        features = map(structure_feature, found)
-        self._structures = [{**one["properties"], "geometry": one["geometry"]} for one in features]
+        self._structures = [{**one["properties"], "geometry": one["geometry"]} for one in map(structure_feature, found)]
 
     def state(self) -> dict[str, Any]:
         """Describe how far everything is; small, for it is asked for again and again."""
@@ -175,6 +174,7 @@ class ShownMission:
         return {
             "name": clean(self.feed.config.mission or self.folder.resolve().name.removesuffix(RESULTS_SUFFIX)),
             "live": self._is_live and self.summary is None,
+            "silent": self._is_live and self.summary is None and is_silent(self.folder),
             "fraction": round(self.feed.fraction_done, 4),
             "done": self.feed.is_done,
             "problem": clean(self.feed.problem),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import time
 from datetime import datetime
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -16,6 +17,7 @@ from auv_mcm.contacts.contact_words import ContactWords, feature_words
 from auv_mcm.errors import AuvMcmError, BadInputError
 from auv_mcm.safe_files import open_regular
 from auv_mcm.settings.config import Config
+from auv_mcm.shell.health.files import HEALTH, read_health
 from sim_replay.verdicts import Place
 from sim_replay.view.waterfall_store import Seen
 
@@ -162,6 +164,14 @@ def read_summary(folder: Path) -> dict[str, Any] | None:
     if not isinstance(found, dict):
         raise BadInputError(f"{path} is not the summary of a mission. Replay the log again.")
     return found
+
+
+def is_silent(session: Path) -> bool:
+    """Find whether a session's record of health is too old: its service ended without a summary, or hangs."""
+    try:
+        return read_health(session / HEALTH).is_late(time.time())
+    except AuvMcmError:
+        return False  # none yet
 
 
 def summary_config(summary: dict[str, Any], place: Path) -> Config:

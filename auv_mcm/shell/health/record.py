@@ -15,6 +15,8 @@ mission is not done."""
 GRAVITY: Final[tuple[State, ...]] = ("normal", "boot", "degraded", "fault")
 """States in the order of their gravity: the whole is as its worst part, and not normal while one is not ready."""
 
+_LATE_PERIODS: Final = 3.0  # periods without a new record, after which the service does not run, or hangs
+
 REASONS: Final = {
     "starting": "perception is not ready yet; wait",
     "no_kernels": "numpy does the work of the C kernels: install the wheel with compiled kernels",
@@ -98,6 +100,13 @@ class Health(msgspec.Struct, frozen=True, kw_only=True):
     def reasons(self) -> tuple[str, ...]:
         """List the reasons of all parts, each as part:reason."""
         return tuple(f"{part.name}:{reason}" for part in self.parts for reason in part.reasons)
+
+    def is_late(self, now_s: float) -> bool:
+        """Find whether it is too old, or of a later time: the clock was set back since, as at a start without one.
+
+        now_s: UTC.
+        """
+        return abs(now_s - self.utc_s) > _LATE_PERIODS * self.period_s + 1.0  # a second: of writing, and of the start
 
     def to_json(self) -> bytes:
         """Write the record, with the state of the whole, as JSON on one line."""

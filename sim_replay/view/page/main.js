@@ -65,6 +65,7 @@ async function poll() {
     byId("replay-again").hidden = !now.replay_again;
     byId("name").textContent = document.title = now.name;
     byId("live").hidden = !now.live;
+    byId("live").textContent = now.silent ? "no news: its service does not run, or hangs" : "live";
     const made = now.stop_row * now.row_m;
     byId("progress").textContent = now.done ? `${now.pings} pings, ${metres(made, 0)}` : now.live
       ? `${now.pings} pings, ${metres(made, 0)} so far` : `waterfall ${Math.floor(100 * now.fraction)} %`;

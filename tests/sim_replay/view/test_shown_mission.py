@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import time
 from pathlib import Path
 
 import msgspec
@@ -13,12 +14,14 @@ import pytest
 from auv_mcm.contacts.export import iso_time
 from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.records import SIDES
+from auv_mcm.shell.health.files import HEALTH
 from sim_replay.replay import replay
 from sim_replay.verdicts import VERDICTS_FILE, newest_verdicts, read_verdicts
 from sim_replay.view.mission import Judgement
 from sim_replay.view.places import WaterfallPoint
 from sim_replay.view.show import named_logs, open_shown
 from sim_replay.view.waterfall_store import WaterfallStore
+from tests.auv_mcm.shell.health.measurements import record
 from tests.sim_replay.augment.plain_logs import CONFIG, N_PINGS, written
 from tests.sim_replay.view.shown_missions import feature, filled_store, poses, position, shown, tile, write_results
 
@@ -195,6 +198,16 @@ def test_results_of_a_replay_that_did_not_end_are_not_waited_for_as_a_session(tm
     assert "the results name no log" in state["problem"]
     assert mission.contacts()["id"] == ["C00001"]
     mission.feed.close()
+
+
+@pytest.mark.parametrize("age_s", [0.0, 60.0])
+def test_a_session_without_news_of_its_service_is_not_shown_as_if_it_ran(tmp_path: Path, age_s: float) -> None:
+    (tmp_path / HEALTH).write_bytes(record(utc_s=time.time() - age_s).to_json())
+    (tmp_path / "recording").mkdir()
+    mission = open_shown(tmp_path, [], None, "kim")
+    state = mission.state()
+    mission.feed.close()
+    assert (state["live"], state["silent"]) == (True, age_s > 0.0)
 
 
 @pytest.mark.parametrize("journal", [False, True])
