@@ -90,13 +90,12 @@ def _write_fixes(writer: Any, tile: Tile, rows: Sequence[int], next_s: float) ->
         if time_s < next_s or pose.stale[row] or not (math.isfinite(latitude_deg) and math.isfinite(longitude_deg)):
             continue
         next_s = time_s + _FIX_S
-        depth_m = float(pose.depth_m[row])
         fix = LocationFix(
             timestamp=_stamp(time_s),
             frame_id=_FRAME,
             latitude=latitude_deg,
             longitude=longitude_deg,
-            altitude=-depth_m if math.isfinite(depth_m) else 0.0,
+            altitude=-float(pose.depth_m[row]),  # NaN where unknown, as in ROS's NavSatFix: without it 0 is read
             position_covariance_type=LocationFix.UNKNOWN,
         )
         _write(writer, "/vehicle/fix", fix, time_s)

@@ -64,6 +64,15 @@ def test_every_message_is_decoded_by_the_schema_in_the_file(tmp_path: Path) -> N
     assert fixes[0].latitude == pytest.approx(54.0, abs=1e-4)
 
 
+def test_a_depth_that_is_unknown_is_no_altitude_of_zero(tmp_path: Path) -> None:
+    one = timed(0)
+    one.pose.depth_m[:] = math.nan
+    write_mcap(tmp_path / "m.mcap", [one], {})
+    altitudes_m = [message.altitude for topic, _, message, _ in decoded(tmp_path / "m.mcap") if topic == "/vehicle/fix"]
+    assert altitudes_m
+    assert np.isnan(altitudes_m).all()
+
+
 def test_a_contact_is_ringed_where_it_lies_in_the_picture(tmp_path: Path) -> None:
     bright = timed(0)
     bright.intensity[:] = 0.05
