@@ -450,7 +450,7 @@ class Service:
             + (Counter() if self._recorder is None else self._recorder.counters),
             source=self._source.health() if isinstance(self._source, LiveSource) else None,
             is_recording=self._recorder is not None,
-            vehicle=None if link is None else link.health(),
+            vehicle=None if link is None else link.measured(),
             service=measure_process(os.getpid()),
             perception=measure_process(perception_process()),
             computer=await asyncio.to_thread(measure_computer, self._folder),

@@ -18,6 +18,7 @@ from auv_mcm.geometry.fix import Fix, chord_m, course_rad, fix_at
 from auv_mcm.plan.look_again import LookAgain, LooksSoFar, PlanRequest, Proposal
 from auv_mcm.records import NAN, Contact, EarlyContact, NavSample, Notice, SourceEvent, Waypoint
 from auv_mcm.settings.config import Config
+from auv_mcm.shell.health.judge import Vehicle
 from auv_mcm.source import Health, VehiclePilot
 
 # s without a position of the vehicle, after which health is a fault and no leg is requested; without a heading, after
@@ -58,6 +59,10 @@ class VehicleLink:
         """Give the link's state for the health line; after parting, the last state."""
         area = self._look_again.area
         return (self._parted or self.vehicle.health()) + ("" if area is None else f" {area.words()}")
+
+    def measured(self) -> Vehicle:
+        """Give the link's state to be judged."""
+        return Vehicle(self.health(), is_silent=not self._parted and self.vehicle.authority == "down")
 
     @property
     def verdict(self) -> str:

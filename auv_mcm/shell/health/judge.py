@@ -10,6 +10,7 @@ from auv_mcm.shell.check.host import NEEDED_BYTES, PLENTY_BYTES
 from auv_mcm.shell.health.record import Part
 from auv_mcm.source import SourceHealth
 
+_NO_VEHICLE_S: Final = 10.0  # s after the start in which a vehicle may be silent: the slowest wire's 5 s twice
 _NO_PING_S: Final = 10.0  # s without a ping: sound takes 7 s to 5 km and back, beyond every side scan
 
 
@@ -28,13 +29,19 @@ class Computer(NamedTuple):
     hot_c: float
 
 
+class Vehicle(NamedTuple):
+    """Describe the vehicle. words: who has control and what was refused. is_silent: it says nothing understood."""
+
+    words: str
+    is_silent: bool = False
+
+
 class Measured(NamedTuple):
     """Hold what the service measures of itself at one moment, monotonic time `now_s`.
 
     late_s: how late the event loop woke up at most since the last measurement. pings_in_flight: of the messages in
     flight. counters: of the service and of its recorder. waits_on_purpose: the source waits for perception. source:
-    None for one without ports. vehicle: who has control and what was refused, in words; None without a vehicle.
-    service, perception: their processes.
+    None for one without ports. vehicle: None without one. service, perception: their processes.
     """
 
     now_s: float
@@ -53,7 +60,7 @@ class Measured(NamedTuple):
     counters: Counter[str]
     source: SourceHealth | None
     is_recording: bool
-    vehicle: str | None
+    vehicle: Vehicle | None
     service: Process | None
     perception: Process | None
     computer: Computer
@@ -194,8 +201,11 @@ def _recording(now: Measured, before: Measured) -> list[Part]:
 
 
 def _vehicle(now: Measured) -> list[Part]:
-    """Show the state of control; the wire itself is judged as a port."""
-    return [] if now.vehicle is None else [Part(name="vehicle", state="normal", words=now.vehicle)]
+    """Show the state of control, and whether the vehicle speaks; the wire itself is judged as a port."""
+    if now.vehicle is None:
+        return []
+    reasons = ("vehicle_silent",) if now.vehicle.is_silent and now.uptime_s > _NO_VEHICLE_S else ()
+    return [Part(name="vehicle", state="degraded" if reasons else "normal", reasons=reasons, words=now.vehicle.words)]
 
 
 def _computer(computer: Computer) -> list[Part]:

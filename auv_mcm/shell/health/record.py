@@ -28,6 +28,7 @@ REASONS: Final = {
     "port_down": "the port cannot be opened: check device, address and cable; 'auv-mcm check' names the cause",
     "port_silent": "the port is open and nothing comes: check supply, cable, rate and what the device is set to send",
     "no_pings": "the sonar sends and no ping is in it: let it ping, and check that device and rate are its own",
+    "vehicle_silent": "the vehicle says nothing that is understood: check its port, and that the protocol is its own",
     "port_discards": "more comes than can be decoded: check that only the configured device sends there",
     "position_lost": "no unit gives a position: check antenna, unit and its port",
     "quantity_lost": "a quantity that was there is given by no unit any more: check the unit and its port",

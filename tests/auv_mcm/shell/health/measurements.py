@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 
-from auv_mcm.shell.health.judge import Computer, Measured, Process, judge
+from auv_mcm.shell.health.judge import Computer, Measured, Process, Vehicle, judge
 from auv_mcm.shell.health.record import Health, Part
 from auv_mcm.source import PortState, QuantityState, SourceHealth
 
@@ -30,7 +30,7 @@ WELL = Measured(
     counters=Counter(),
     source=SourceHealth((PORT,), (POSITION,)),
     is_recording=True,
-    vehicle="vehicle=granted (by IMC)",
+    vehicle=Vehicle("vehicle=granted (by IMC)"),
     service=Process(busy_s=1.0, memory_bytes=1e8),
     perception=Process(busy_s=2.0, memory_bytes=2e8),
     computer=COMPUTER,

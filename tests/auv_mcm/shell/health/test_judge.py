@@ -7,7 +7,7 @@ from collections import Counter
 
 import pytest
 
-from auv_mcm.shell.health.judge import Measured, Process, judge
+from auv_mcm.shell.health.judge import Measured, Process, Vehicle, judge
 from auv_mcm.shell.health.record import REASONS, VALUES, State
 from auv_mcm.source import QuantityState, SourceHealth
 from tests.auv_mcm.shell.health.measurements import COMPUTER, LATER, NEVER, PORT, POSITION, WELL, part, record
@@ -30,6 +30,7 @@ TROUBLES: list[tuple[Measured, str, State, str]] = [
     (LATER._replace(has_kernels=False), "perception", "degraded", "no_kernels"),
     (LATER._replace(source=ports(state="down")), "port.sonar", "fault", "port_down"),
     (LATER._replace(source=ports(state="silent")), "port.sonar", "fault", "port_silent"),
+    (LATER._replace(vehicle=Vehicle("vehicle=down", is_silent=True)), "vehicle", "degraded", "vehicle_silent"),
     (LATER._replace(source=ports(discarded_bytes=9)), "port.sonar", "degraded", "port_discards"),
     (LATER._replace(source=ports(ping_age_s=math.inf)), "port.sonar", "fault", "no_pings"),
     (
@@ -86,6 +87,10 @@ def test_pings_may_take_as_long_as_sound_does_and_a_while_to_begin() -> None:
     early = LATER._replace(uptime_s=9.0, source=ports(ping_age_s=math.inf))
     other = LATER._replace(source=ports(ping_age_s=math.nan))
     assert [part("port.sonar", now).reasons for now in (far, early, other)] == [()] * 3
+
+
+def test_a_vehicle_may_take_a_while_to_speak() -> None:
+    assert part("vehicle", LATER._replace(uptime_s=9.0, vehicle=Vehicle("vehicle=down", is_silent=True))).reasons == ()
 
 
 def test_a_source_that_waits_on_purpose_is_neither_behind_nor_stalled() -> None:
