@@ -25,6 +25,7 @@ from auv_mcm.source import Health, VehiclePilot
 # which the course serves
 _LOST_S: Final = 3.0
 _COURSE_M: Final = 5.0  # of way that gives a course: as that of planning, so that positions may scatter
+_PLANNING_FAILED: Final = "planning failed"
 _LAST_WORDS_S: Final = 0.5  # s for the last report to go out, and again where it was not acknowledged
 
 
@@ -123,7 +124,9 @@ class VehicleLink:
         """Report and request what is due, twice a second while perception runs. ask: has a plan made, for `take`."""
         now_s = self._clock.monotonic_s()
         position_lost = now_s - self._position_s > _LOST_S
-        faults = [self._ending] if self._ending else [*faults, "there is no position"] if position_lost else faults
+        # In the order of severity: without planning, contacts are still found and reported.
+        also = {"there is no position": position_lost, _PLANNING_FAILED: self._has_failed}
+        faults = [self._ending] if self._ending else [*faults, *(fault for fault, holds in also.items() if holds)]
         area = self._look_again.area
         self._report_health(
             "fault" if faults else "normal", "; ".join([*faults, *([] if area is None else [area.words()])])
@@ -147,13 +150,13 @@ class VehicleLink:
         if self._has_failed or not isinstance(found := caught(step), Defect):
             return
         self._has_failed = True
-        self.release("planning failed")
+        self.vehicle.release(_PLANNING_FAILED)
         text = (
             f"planning failed ({found.text}): control is given back and no further leg is requested; contacts are "
             "found and reported as before. This is a defect: report it with the log"
         )
         self._defects.append(Notice(code="vehicle.planning_failed", text=text))
-        warn_of(found, "planning failed")
+        warn_of(found, _PLANNING_FAILED)
 
     def take(self, proposal: Proposal) -> None:
         """Take the plan that was requested."""

@@ -252,7 +252,10 @@ def test_a_defect_of_planning_gives_control_back_and_ends_nothing_else(tmp_path:
     failed = ("fault", "planning failed")
 
     def until() -> bool:
-        return failed in ports.vehicle.reports and "contact" in ports.vehicle.words()
+        if failed in ports.vehicle.reports:
+            ports.wrong = ["port sonar is silent"]
+        both = ("fault", "port sonar is silent; planning failed")
+        return both in ports.vehicle.reports and "contact" in ports.vehicle.words()
 
     results = serve(tmp_path, ports, until, fake.Undecided)
     assert ports.vehicle.words().count("plan") == 1
