@@ -25,6 +25,7 @@ Layers = Mapping[str, Sequence[Feature]]
 
 _WIDTH_MM, _CHART_MM, _ROW_MM, _PICTURE_MM = 180.0, 150.0, 44.0, 38.0  # of A4 with margins of 15 mm
 _MARGIN_MM, _BOTTOM_MM = 15.0, 282.0
+_WORDS_MM = _PICTURE_MM + 4.0  # from the margin to the words beside a picture
 _NO_TIME: Final = datetime(1970, 1, 1, tzinfo=UTC)
 _FACTS: Final = 8.5  # points of small text
 _MISSING: Final = str.maketrans({"\u2032": "'", "\u2033": '"', "\u2013": "-", "\u2026": "...", "\u202f": " "})
@@ -66,7 +67,8 @@ def write_contact_sheet(path: Path, results: Path, layers: Layers, name: str) ->
     _line(sheet, _FACTS, "", f"Of this mission alone, {evidence_words([counted])}.")
     sheet.add_page()
     for one in (*contacts, *missed):
-        if sheet.get_y() + _ROW_MM > _BOTTOM_MM:
+        words_mm = sum(_line(sheet, *row, width_mm=_WIDTH_MM - _WORDS_MM, dry_run=True) for row in _rows(one))
+        if sheet.get_y() + max(_ROW_MM, words_mm + 2.0) > _BOTTOM_MM:
             sheet.add_page()
         _contact(sheet, one, results)
     write_file(path, bytes(sheet.output()))
@@ -87,7 +89,7 @@ def sheet_contacts(layers: Layers) -> list[Feature]:
 def _contact(sheet: FPDF, feature: Feature, results: Path) -> None:
     """Write one contact in a row of its own: picture to the left, words beside it."""
     properties, top = feature["properties"], sheet.get_y()
-    name = str(properties.get("id") or properties.get("object") or "")
+    name = _name(properties)
     picture = results / "snippets" / f"{name}.png"
     if name.startswith("C") and name[1:].isdecimal() and picture.is_file():
         try:
@@ -95,36 +97,40 @@ def _contact(sheet: FPDF, feature: Feature, results: Path) -> None:
         except (OSError, SyntaxError, ValueError):  # of Pillow, as a file is damaged
             sheet.set_font("helvetica", "", _FACTS)
             sheet.text(_MARGIN_MM, top + 4.0, "picture damaged")
-    sheet.set_left_margin(_MARGIN_MM + _PICTURE_MM + 4.0)
+    sheet.set_left_margin(_MARGIN_MM + _WORDS_MM)
     sheet.set_y(top)
-    _line(sheet, 11.0, "B", name)
-    for size, text in _rows(feature):
-        _line(sheet, size, "", text)
+    for row in _rows(feature):
+        _line(sheet, *row)
     sheet.set_left_margin(_MARGIN_MM)
     sheet.set_y(max(top + _ROW_MM, sheet.get_y() + 2.0))
     sheet.set_draw_color(200)
     sheet.line(_MARGIN_MM, sheet.get_y() - 2.0, _MARGIN_MM + _WIDTH_MM, sheet.get_y() - 2.0)
 
 
-def _rows(feature: Feature) -> Iterator[tuple[float, str]]:
+def _rows(feature: Feature) -> Iterator[tuple[float, str, str]]:
     properties = feature["properties"]
+    yield 11.0, "B", _name(properties)
     if "p_mine" in properties and properties.get("views") is not None:
         said = feature_words(properties)
-        yield 10.0, said.sentence
+        yield 10.0, "", said.sentence
         for side, reason in (("For", said.reason_for), ("Against", said.reason_against)):
             if reason:
-                yield _FACTS, f"{side}: {reason}"
+                yield _FACTS, "", f"{side}: {reason}"
     longitude, latitude = ((feature.get("geometry") or {}).get("coordinates") or [math.nan, math.nan])[:2]
     depth = properties.get("depth_m")
     place = f"{degrees_minutes(latitude, 'N', 'S')}, {degrees_minutes(longitude, 'E', 'W')}"
-    yield _FACTS, place + (f", {depth:.1f} m deep" if isinstance(depth, int | float) else "")
+    yield _FACTS, "", place + (f", {depth:.1f} m deep" if isinstance(depth, int | float) else "")
     if properties.get("verdict"):
         kind = f", {properties['verdict_type']}" if properties.get("verdict_type") else ""
         by = f"{properties.get('judged_by') or '?'}, {properties.get('judged_time') or '?'}"
-        yield 10.0, f"Judged {call_name(str(properties['verdict']))}{kind} by {by}"
+        yield 10.0, "", f"Judged {call_name(str(properties['verdict']))}{kind} by {by}"
         if properties.get("verdict_comment"):
             comment = str(properties["verdict_comment"])
-            yield _FACTS, comment if len(comment) <= 300 else f"{comment[:300]}..."
+            yield _FACTS, "", comment if len(comment) <= 300 else f"{comment[:300]}..."
+
+
+def _name(properties: Mapping[str, Any]) -> str:
+    return str(properties.get("id") or properties.get("object") or "")
 
 
 def _chart(sheet: FPDF, layers: Layers, contacts: Sequence[Feature]) -> None:
@@ -198,7 +204,7 @@ def _mark(sheet: FPDF, feature: Feature, right: float, down: float) -> None:
     sheet.set_draw_color(*((211, 18, 63) if likely else (60, 60, 60)))
     sheet.circle(right, down, 1.3)
     sheet.set_font("helvetica", "", 7.0)
-    sheet.text(right + 1.8, down + 1.0, _latin(str(properties.get("id") or properties.get("object") or "")))
+    sheet.text(right + 1.8, down + 1.0, _latin(_name(properties)))
 
 
 def _lines(features: Sequence[Feature]) -> Iterator[list[tuple[float, float]]]:
@@ -215,9 +221,11 @@ def _lines(features: Sequence[Feature]) -> Iterator[list[tuple[float, float]]]:
         yield from ([(float(point[0]), float(point[1])) for point in part] for part in parts if len(part) > 1)
 
 
-def _line(sheet: FPDF, size: float, style: str, text: str) -> None:
+def _line(sheet: FPDF, size: float, style: str, text: str, *, width_mm: float = 0.0, dry_run: bool = False) -> float:
+    """Write a paragraph, or find out how much room it takes. Returns its height in mm."""
     sheet.set_font("helvetica", style, size)
-    sheet.multi_cell(0.0, 0.45 * size, _latin(text), align="L", new_x="LMARGIN", new_y="NEXT")
+    how: dict[str, Any] = {"new_x": "LMARGIN", "new_y": "NEXT", "output": "HEIGHT", "dry_run": dry_run}
+    return float(sheet.multi_cell(width_mm, 0.45 * size, _latin(text), align="L", **how))
 
 
 def _latin(text: str) -> str:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
+import zlib
 from pathlib import Path
 
 import cv2
@@ -127,6 +129,17 @@ def test_the_box_is_about_the_detection_on_either_side(tmp_path: Path) -> None:
 def test_where_nothing_was_judged_there_is_nothing_to_learn(tmp_path: Path) -> None:
     with pytest.raises(BadInputError, match="auv-mcm view"):
         judged_chips(tmp_path, contents_of(contacts()))
+
+
+def test_words_of_a_sheet_stay_above_the_lower_margin_however_long_they_are(tmp_path: Path) -> None:
+    told = {"verdict": "mine_like", "judged_by": "k" * 64, "verdict_comment": "W" * 400}
+    one = contact_feature(contacts()[0])
+    told_of = {**one, "properties": {**one["properties"], **told}}
+    write_contact_sheet(tmp_path / "long.pdf", tmp_path, {"contacts": [told_of] * 9}, "Line 7")
+    pages = re.findall(rb"stream\n(.*?)\nendstream", (tmp_path / "long.pdf").read_bytes(), re.DOTALL)
+    heights_pt = [float(up) for page in pages for up in re.findall(rb"BT [\d.-]+ ([\d.-]+) Td", zlib.decompress(page))]
+    assert len(heights_pt) > 90
+    assert min(heights_pt) > 15.0 / 25.4 * 72.0
 
 
 def test_a_sheet_has_every_contact_that_matters_and_is_the_same_each_time(tmp_path: Path) -> None:
