@@ -12,20 +12,12 @@ from auv_mcm.records import NAN
 from auv_mcm.settings.vehicle_settings import ImcSettings
 from drivers.framing import StampedFramer
 from drivers.vehicle import imc_messages as imc
+from drivers.vehicle.decoders.imc_followed import FollowedVehicle
 from drivers.vehicle.dialect import ReportedState, VehicleMessage, fix_of
 from drivers.vehicle.imc_codec import LAYOUTS, decode
-from drivers.vehicle.imc_messages import ImcMessage, PlanState, RefState
-from drivers.vehicle.imc_wire import ANYONE, ImcGrammar, ImcPacket
+from drivers.vehicle.imc_messages import ImcMessage
+from drivers.vehicle.imc_wire import ImcGrammar, ImcPacket
 
-PLAN_ID: Final = "auv_mcm"
-"""Name of the payload's plan."""
-
-VEHICLE_TYPES: Final = frozenset({2, 3})  # Announce.sys_type: under water, on the surface
-_ANOTHER_AFTER_S: Final = 60.0  # s of silence of a vehicle that is not named, until another takes its place; chosen
-_ABORTS_S: Final = 2.0  # s after an Abort in which a report may still be of the plan that it ends
-_FAILURE: Final = 2  # PlanControlState.last_outcome: not ended by itself
-_IDLE: Final = "the vehicle flies no plan"
-_MAX_HEARD: Final = 4  # vehicles named in a doubt: two suffice for it, and anybody may send thousands
 _MAX_OFFSET_M: Final = 1e5  # m from the reference: more is damage
 
 
@@ -36,94 +28,6 @@ class ImcReceived(NamedTuple):
     source: int
     destination: int
     time_s: float
-
-
-class FollowedVehicle:
-    """Choose whom to follow: the vehicle that is named, or the first one heard until it is silent and another speaks.
-
-    number: its IMC address, None before it is heard.
-    """
-
-    def __init__(self, named: int) -> None:
-        """named: the address configured, 0 for none."""
-        self._named = named or None
-        self._all: dict[int, None] = {}  # vehicles heard, where none is named
-        self._aborted_s = -math.inf
-        self._withheld = ""  # why it is not asked, until it flies a plan of its own
-        self._flew = self._flies_ours = self._flies_own = False  # any plan was reported to run; which one runs
-        self._plan_before = self._sent_on = ""  # plans of the vehicle: before the payload's, and in its place
-        self.is_left = False  # by the payload, which ends its own plan
-        self.restart()
-
-    def restart(self) -> None:
-        """Forget whom to follow, as on a wire that was opened again."""
-        self.number, self._heard_s = self._named, -math.inf
-
-    def hear(self, source: int, message: ImcMessage, now_s: float, to: int = ANYONE) -> None:
-        """Take a message of any source but the payload. to: whom it is addressed to."""
-        if isinstance(message, imc.Abort) and to in (ANYONE, self.number):
-            self._aborted_s, self._withheld = now_s, "an Abort came"
-        elif source == self.number:
-            self._hear_plan(message, now_s)
-        if self._named is None and is_vehicle(message):
-            if len(self._all) < _MAX_HEARD:
-                self._all[source] = None
-            if now_s - self._heard_s > _ANOTHER_AFTER_S:
-                self.number = source
-        if source == self.number:
-            self._heard_s = now_s
-
-    def _hear_plan(self, message: ImcMessage, now_s: float) -> None:
-        """Find out whether the vehicle may be started: it flies, or is idle since the payload's own plan."""
-        if isinstance(message, imc.FollowRefState) and message.state == RefState.TIMEOUT:
-            self._flies_ours = False
-        if not isinstance(message, imc.PlanControlState):
-            return
-        if message.state in (PlanState.BLOCKED, PlanState.READY):
-            flew_ours = self._flies_ours and not self.is_left
-            if (flew_ours or self._flies_own) and message.last_outcome == _FAILURE:
-                self._withheld = f"the {'payload' if flew_ours else 'vehicle'}'s plan was stopped on board"
-            elif not self._flew:
-                self._withheld = self._withheld or _IDLE
-            self._flies_ours = self._flies_own = False
-        elif message.plan_id == PLAN_ID:
-            self._flew, self._flies_ours, self._flies_own = True, True, False
-            self._withheld = self._withheld if self._withheld != _IDLE else ""
-        elif message.state == PlanState.EXECUTING and now_s - self._aborted_s >= _ABORTS_S:
-            self._take_own_plan(message.plan_id)
-
-    def _take_own_plan(self, plan_id: str) -> None:
-        """Take the plan of its own that the vehicle flies; one that took the place of the payload's is left alone."""
-        if self._flies_ours and not self.is_left and self._plan_before not in ("", plan_id):
-            self._sent_on = plan_id
-        if plan_id == self._sent_on:
-            self._withheld = f"the vehicle was sent on plan {plan_id} instead"
-        else:
-            self._withheld = self._sent_on = ""
-            self._plan_before = plan_id
-        self._flew, self._flies_ours, self._flies_own = True, False, True
-
-    @property
-    def may_be_asked(self) -> bool:
-        """Check whether a vehicle is known that may be asked for control."""
-        return self.number is not None and not self.why_not
-
-    @property
-    def why_not(self) -> str:
-        """Say why the vehicle is not asked for control, "" where it may be."""
-        again = f"control is requested once it flies {'another' if self._sent_on else 'a plan of its own'}"
-        return self.doubt or (f"{self._withheld}: {again}" if self._withheld else "")
-
-    @property
-    def doubt(self) -> str:
-        """Say why none of several vehicles is asked for control, "" where it is clear whom to ask."""
-        if len(self._all) < 2:
-            return ""
-        heard = " and ".join(f"0x{number:04X} ({number})" for number in self._all)
-        return (
-            f"vehicles {heard} are heard, and imc.vehicle_id names none: one is followed until silent for "
-            f"{_ANOTHER_AFTER_S:g} s, none is asked for control. Set vehicle_id to the one that carries the payload."
-        )
 
 
 class ImcDecoder:
@@ -175,13 +79,6 @@ class ImcDecoder:
         return VehicleMessage(
             record, received, state, (fix_of(self._port, state),) if packet.source == self._vehicle.number else ()
         )
-
-
-def is_vehicle(message: ImcMessage) -> bool:
-    """Check whether only a vehicle sends this message."""
-    return isinstance(message, imc.EstimatedState) or (
-        isinstance(message, imc.Announce) and message.sys_type in VEHICLE_TYPES
-    )
 
 
 def _state_of(message: imc.EstimatedState, received: Stamp) -> ReportedState:

@@ -23,7 +23,8 @@ from auv_mcm.clock import Stamp
 from auv_mcm.records import NAN
 from auv_mcm.settings.vehicle_settings import ImcSettings
 from drivers.vehicle import imc_messages as imc
-from drivers.vehicle.decoders.imc_decoder import PLAN_ID, FollowedVehicle, ImcReceived
+from drivers.vehicle.decoders.imc_decoder import ImcReceived
+from drivers.vehicle.decoders.imc_followed import PLAN_ID, FollowedVehicle
 from drivers.vehicle.dialect import (
     Acknowledged,
     Capability,

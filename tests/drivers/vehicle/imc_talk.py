@@ -9,7 +9,7 @@ from auv_mcm.clock import Stamp
 from auv_mcm.settings.vehicle_settings import ImcSettings
 from drivers.framing import Framer
 from drivers.vehicle import imc_messages as imc
-from drivers.vehicle.decoders.imc_decoder import PLAN_ID
+from drivers.vehicle.decoders.imc_followed import PLAN_ID
 from drivers.vehicle.dialect import GoTo, Granted, VehicleEvent, Vertical
 from drivers.vehicle.imc_codec import decode
 from drivers.vehicle.imc_messages import ImcMessage, PlanOp, PlanType, Proximity, RefFlag, RefState

@@ -15,7 +15,7 @@ import pytest
 
 from auv_mcm.clock import Stamp
 from auv_mcm.settings.vehicle_settings import ImcSettings
-from drivers.vehicle.decoders.imc_decoder import PLAN_ID
+from drivers.vehicle.decoders.imc_followed import PLAN_ID
 from drivers.vehicle.dialect import GoTo, Granted, PayloadHealth, PlaceReached, ReportedState, VehicleEvent, Vertical
 from tests.make.records import report_of
 from tests.sim_replay.conversation import Conversation

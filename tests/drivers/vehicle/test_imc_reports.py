@@ -7,7 +7,7 @@ import math
 import pytest
 
 from drivers.vehicle import imc_messages as imc
-from drivers.vehicle.decoders.imc_decoder import FollowedVehicle
+from drivers.vehicle.decoders.imc_followed import FollowedVehicle
 from drivers.vehicle.dialect import (
     Acknowledged,
     Capability,

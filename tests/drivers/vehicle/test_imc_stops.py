@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from drivers.vehicle import imc_messages as imc
-from drivers.vehicle.decoders.imc_decoder import PLAN_ID
+from drivers.vehicle.decoders.imc_followed import PLAN_ID
 from drivers.vehicle.dialect import Withheld
 from drivers.vehicle.imc_messages import OpMode, PlanState, RefState
 from drivers.vehicle.imc_wire import ANYONE

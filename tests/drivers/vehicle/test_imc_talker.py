@@ -13,7 +13,7 @@ from auv_mcm.records import NAN
 from auv_mcm.settings.vehicle_settings import ImcSettings
 from drivers.framing import Framer
 from drivers.vehicle import imc_messages as imc
-from drivers.vehicle.decoders.imc_decoder import PLAN_ID
+from drivers.vehicle.decoders.imc_followed import PLAN_ID
 from drivers.vehicle.dialect import Doubted, Granted, PlaceReached, Steer, VehicleEvent, Withheld
 from drivers.vehicle.imc_codec import decode
 from drivers.vehicle.imc_messages import (
