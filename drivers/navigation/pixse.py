@@ -102,8 +102,8 @@ def _fix_fields(record: Any) -> dict[str, Any]:
         case PixseAttitude():
             return {"pitch_rad": record.pitch_rad, "roll_rad": record.roll_rad}
         case PixsePosition():
-            longitude_deg = record.longitude_deg - 360.0 if record.longitude_deg > 180.0 else record.longitude_deg
-            if not (abs(record.latitude_deg) <= 90.0 and abs(longitude_deg) <= 180.0):
+            longitude_deg = math.remainder(record.longitude_deg, 360.0)
+            if math.isnan(record.latitude_deg) or math.isnan(longitude_deg):
                 return {}
             return {"latitude_deg": record.latitude_deg, "longitude_deg": longitude_deg, "depth_m": -record.height_m}
         case PixseSpeed():

@@ -56,6 +56,18 @@ def number(decimals: int, unit: float = 1.0) -> Codec:
     return Codec(1, read if unit != 1.0 else _read_number, write)
 
 
+def within(codec: Codec, low: float, high: float) -> Codec:
+    """Make a codec that rejects numbers outside; an empty field passes."""
+
+    def read(fields: Sequence[str]) -> float:
+        value: float = codec.read(fields)
+        if value < low or value > high:
+            raise ValueError(f"not within {low} and {high}: {value}")
+        return value
+
+    return Codec(codec.n_fields, read, codec.write)
+
+
 def letter(allowed: str) -> Codec:
     """Read and write one of these letters, or none."""
 

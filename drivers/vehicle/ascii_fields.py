@@ -13,7 +13,7 @@ from itertools import chain, islice, repeat
 from typing import Any, Final, get_args
 
 from auv_mcm.records import ContactClass
-from drivers.navigation.sentence_fields import Codec
+from drivers.navigation.sentence_fields import Codec, within
 from drivers.navigation.sentences import SENTENCES, Sentence
 from drivers.vehicle.dialect import ContactReport
 
@@ -78,18 +78,6 @@ def _of(key: str) -> list[Codec]:
     return [codec for codec in SENTENCES[key].codecs if codec is not None]
 
 
-def within(codec: Codec, low: float, high: float) -> Codec:
-    """Make a codec that rejects numbers outside; an empty field passes."""
-
-    def read(fields: Sequence[str]) -> float:
-        value: float = codec.read(fields)
-        if value < low or value > high:
-            raise ValueError(f"not within {low} and {high}: {value}")
-        return value
-
-    return Codec(codec.n_fields, read, codec.write)
-
-
 def scaled(codec: Codec, unit: float) -> Codec:
     """Make the codec of a number. unit: the SI value of 1 on the wire."""
     return Codec(codec.n_fields, lambda fields: codec.read(fields) * unit, lambda value: codec.write(value / unit))
@@ -147,7 +135,6 @@ TENTHS: Final = _of("GGA")[5]
 CENTI: Final = _of("DPT")[0]
 MILLI: Final = _of("PIXSE,SPEED_")[0]
 COUNT: Final = _of("GGA")[3]
-DECIMAL_DEGREES: Final = _of("PIXSE,POSITI")[0]
 
 
 def heading(n_decimals: int) -> Codec:

@@ -15,13 +15,12 @@ from typing import Any, Final, NamedTuple
 
 from auv_mcm.settings.vehicle_settings import IverSettings
 from drivers.navigation.nmea0183 import NmeaGrammar, sentence
-from drivers.navigation.sentence_fields import Codec
+from drivers.navigation.sentence_fields import DECIMAL_DEGREES, Codec, within
 from drivers.navigation.sentences import KNOT_MPS, Sentence
 from drivers.vehicle.ascii_fields import (
     CENTI,
     CONTACT,
     COUNT,
-    DECIMAL_DEGREES,
     FOOT_M,
     HEADING,
     PITCH,
@@ -33,7 +32,6 @@ from drivers.vehicle.ascii_fields import (
     heading,
     needed,
     speed,
-    within,
 )
 from drivers.vehicle.dialect import ContactReport
 

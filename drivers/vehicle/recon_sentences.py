@@ -20,7 +20,7 @@ from auv_mcm.settings.vehicle_settings import ReconSettings
 from drivers.framing import Grammar
 from drivers.message_candidates import MessageCandidates
 from drivers.navigation.nmea0183 import BYTE_OF_HEX, MAX_SENTENCE_BYTES
-from drivers.navigation.sentence_fields import Codec
+from drivers.navigation.sentence_fields import Codec, within
 from drivers.navigation.sentences import Sentence
 from drivers.vehicle.ascii_fields import (
     CLOCK,
@@ -39,7 +39,6 @@ from drivers.vehicle.ascii_fields import (
     needed,
     one_of,
     scaled,
-    within,
 )
 from drivers.vehicle.dialect import ContactReport
 

@@ -64,6 +64,15 @@ def test_a_wrong_speed_gives_way_to_the_positions(speed_mps: float, fix_s: float
     assert codes(buffer) == ["navigation.speed_off_track"]
 
 
+def test_a_wrong_speed_is_reported_once_50_m_were_made_and_not_before() -> None:
+    buffer, reported_s = NavBuffer(NavigationConfig()), []
+    for sample in samples(3.0 * SPEED_MPS):
+        buffer.add(sample)
+        if "navigation.speed_off_track" in codes(buffer):
+            reported_s.append(sample.time_s - START_S)
+    assert reported_s == [pytest.approx(50.0 / (3.0 * SPEED_MPS), abs=2.0)]
+
+
 @pytest.mark.parametrize("factor", [0.9, 1.0, 1.1])
 @pytest.mark.parametrize(("fix_s", "scatter_m"), [(0.1, 0.4), (1.0, 0.2)])
 def test_a_sound_speed_is_used_as_it_is(factor: float, fix_s: float, scatter_m: float) -> None:

@@ -212,6 +212,13 @@ def test_a_wrz_gives_velocity_altitude_and_how_old_it_is() -> None:
     assert fix.age_s == pytest.approx(7e-6)
 
 
+@pytest.mark.parametrize(("altitude_m", "given_m"), [(-1.0, math.nan), (0.0, math.nan), (0.05, 0.05)])
+def test_a_wrz_with_lock_and_without_altitude_gives_none(altitude_m: float, given_m: float) -> None:
+    locked = wl.Velocity(0.5, 0.0, 0.0, True, altitude_m, 0.01, (0.0,) * 9, 7, 14, 100.0, 0)
+    [fix] = fed(WaterLinkedUnit("dvl"), [wl.message_of(locked)])
+    assert (fix.speed_mps, fix.altitude_m) == pytest.approx((0.5, given_m), nan_ok=True)
+
+
 def test_a_wrz_without_lock_gives_nothing() -> None:
     unit = WaterLinkedUnit("dvl")
     lost = wl.Velocity(

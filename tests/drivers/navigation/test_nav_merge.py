@@ -253,6 +253,12 @@ def test_the_time_on_a_serial_wire_is_taken_off() -> None:
     assert seconds(sample) == pytest.approx(1.0 - 0.1 - 0.05, abs=1e-5)
 
 
+def test_what_is_old_when_it_is_sent_is_dated_back_by_the_units_clock_too() -> None:
+    old = [fix("dvl", t, time_utc_s=5e8 + t - 0.2, heading_rad=1.0, age_s=0.2) for t in (0.0, 0.5, 1.0)]
+    samples, _ = run(merge(dvl=NavUnitSettings(use_unit_time=True)), old)
+    assert [seconds(sample) for sample in samples] == pytest.approx([-0.2, 0.3, 0.8], abs=1e-5)
+
+
 def test_the_units_clock_takes_the_links_delays_off() -> None:
     random = np.random.Generator(np.random.PCG64(9))
     sent_s = np.arange(400) * 0.1
