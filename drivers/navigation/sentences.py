@@ -339,6 +339,8 @@ def parse(body: str) -> Record | None:
     if kind is None:
         return None
     at = 1 + key.count(",")
+    if key == "GLL" and len(fields) == 5:
+        fields += ["", "A"]  # as units before version 2.0 of the standard send it: a position alone
     missing = at + sum(1 if codec is None else codec.n_fields for codec in kind.codecs) - len(fields)
     if missing > 0:
         fields += [""] * missing

@@ -277,6 +277,9 @@ def test_a_time_of_day_is_put_on_the_day_nearest_to_this_computers_clock(host_s:
         ("GPZDA,000010.5,,,,00,", {"time_utc_s": 1_700_006_410.5}),
         ("GPGLL,6005.071,N,02332.346,E,,A,D", {"latitude_deg": 60 + 5.071 / 60, "longitude_deg": 23 + 32.346 / 60}),
         ("GPGLL,6005.071,N,02332.346,E,,V,N", {}),
+        ("GPGLL,6005.071,N,02332.346,E", {"latitude_deg": 60 + 5.071 / 60, "longitude_deg": 23 + 32.346 / 60}),
+        ("GPGLL,,,,", {}),
+        ("GPGLL,6005.071,N,02332.346,E,,", {}),
     ],
 )
 def test_sentences_give_fields(body: str, expected: dict[str, float]) -> None:
