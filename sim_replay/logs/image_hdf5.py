@@ -28,6 +28,7 @@ from sim_replay.logs.image_stored import (
 
 # Filters of the HDF5 specification, IV.A.2.l
 _DEFLATE, _SHUFFLE, _FLETCHER32 = 1, 2, 3
+_PACKING: Final = ((("scale_factor",), 1.0), (("add_offset",), 0.0), (("_FillValue", "missing_value"), np.nan))
 _CHECKSUM_BYTES: Final = 4  # of fletcher32
 _NAMED: Final = 20  # planes that a message names at most
 
@@ -48,6 +49,11 @@ def open_hdf5(path: Path, dataset: str | None) -> Stored:
         check = _chunk_check(path, data)
         n_rows, n_columns = data.shape
         dtype = data.dtype
+        # Attributes of packed numbers (NetCDF User's Guide, appendix A)
+        scale, offset, no_data = (
+            float(np.ravel(next((data.attrs[name] for name in names if name in data.attrs), usual))[0])
+            for names, usual in _PACKING
+        )
 
     def read(first: int, stop: int) -> Rows:
         try:
@@ -56,7 +62,7 @@ def open_hdf5(path: Path, dataset: str | None) -> Stored:
         except Exception as error:  # of the library: several kinds, by what is damaged
             raise DamagedPixelsError(f"rows {first} to {stop} cannot be unpacked ({clean(str(error))})") from error
 
-    return Stored(n_rows, n_columns, dtype, read, {})
+    return Stored(n_rows, n_columns, dtype, read, {}, no_data, scale, offset)
 
 
 def _plane(path: Path, file: Any, dataset: str | None) -> str:

@@ -69,7 +69,7 @@ def _require_numbers(path: Path, stored: Stored, sidecar: Sidecar) -> None:
         raise BadInputError(
             f"{path} holds {what} numbers, but its sidecar says `samples: {sidecar.samples}`. Write what they are."
         )
-    if kind == "i" and sidecar.samples != "log":
+    if kind == "i" and sidecar.samples != "log" and (stored.scale, stored.offset) == (1.0, 0.0):
         raise BadInputError(
             f"{path} holds signed integers ({stored.dtype}), and an {sidecar.samples} is never negative: half of its "
             "numbers would be lost. Export unsigned integers or float32, or write `samples: log` with `db_per_count` "
@@ -93,7 +93,7 @@ def _turned(path: Path, stored: Stored, sidecar: Sidecar) -> Pixels:
 
     def lines(first: int, stop: int) -> Rows:
         rows = read(n_lines - stop, n_lines - first)[::-1] if backward else read(first, stop)
-        return rows[:, ::-1] if far_first else rows
+        return stored.measured(rows[:, ::-1] if far_first else rows)
 
     return Pixels(n_lines, n_pixels, lines, stored.geo_tags)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -24,13 +25,26 @@ Rows = NDArray[Any]
 
 
 class Stored(NamedTuple):
-    """Hold an image as stored; read gives rows [first, stop), and raises DamagedPixelsError."""
+    """Hold an image as stored; read gives rows [first, stop), and raises DamagedPixelsError.
+
+    no_data: what a pixel without a measurement holds, NaN where nothing else does. scale, offset: of packed numbers.
+    """
 
     n_rows: int
     n_columns: int
     dtype: np.dtype[Any]
     read: Callable[[int, int], Rows]
     geo_tags: dict[str, Any]
+    no_data: float = math.nan
+    scale: float = 1.0
+    offset: float = 0.0
+
+    def measured(self, rows: Rows) -> Rows:
+        """Unpack rows that were read, NaN where nothing was measured."""
+        if (self.scale, self.offset) == (1.0, 0.0) and math.isnan(self.no_data):
+            return rows
+        unpacked = rows.astype(np.result_type(rows.dtype, np.float32)) * self.scale + self.offset
+        return np.where(rows == self.no_data, np.nan, unpacked)
 
 
 class DamagedPixelsError(Exception):

@@ -34,6 +34,8 @@ _UNPACKED_BY: Final[dict[int, Callable[[bytes, int], bytes]]] = {
 
 logging.getLogger("tifffile").disabled = True  # it writes lines with what a damaged file holds, and raises besides
 
+_ORIENTATION: Final = 274  # tag; 1, as usual: the first row is at the top, the first column at the left (TIFF 6.0)
+_NO_DATA: Final = 42113  # tag: the number of pixels that hold nothing, as text (GDAL's GeoTIFF driver)
 _REMEDY: Final = "Write it without compression or with deflate: gdal_translate -co COMPRESS=DEFLATE IN.tif OUT.tif"
 
 
@@ -51,11 +53,14 @@ def open_tiff(path: Path) -> Stored:
         require_size(path, page.shape, page.dtype.itemsize, size)
         n_rows, n_columns = page.shape
         tags = dict(page.geotiff_tags or {})
+        no_data = float(page.tags.valueof(_NO_DATA, default="nan").strip("\0 "))
         if page.is_memmappable:
             offset, dtype = page.dataoffsets[0], page.dtype.newbyteorder(file.byteorder)
             plain = np.memmap(opened, dtype, "r", offset, page.shape)
-            return Stored(n_rows, n_columns, page.dtype, lambda first, stop: np.asarray(plain[first:stop]), tags)
-        return Stored(n_rows, n_columns, page.dtype, _Bands(path, page).read, tags)
+            return Stored(
+                n_rows, n_columns, page.dtype, lambda first, stop: np.asarray(plain[first:stop]), tags, no_data
+            )
+        return Stored(n_rows, n_columns, page.dtype, _Bands(path, page).read, tags, no_data)
 
 
 def _require_grey(path: Path, page: Any) -> None:
@@ -68,6 +73,11 @@ def _require_grey(path: Path, page: Any) -> None:
         raise BadInputError(f"{path} is a colour picture (palette). Export the numbers before the colour map.")
     if int(page.photometric) == 0 and page.dtype.kind in "uib":  # white is zero
         raise BadInputError(f"{path} stores white as zero, a scanned drawing's way. Export it with black as zero.")
+    if page.tags.valueof(_ORIENTATION, default=1) != 1:
+        raise BadInputError(
+            f"{path} is stored turned or mirrored (its tag Orientation), so that its edges are not where programs show "
+            "them. Export it upright, the first row at the top and the first column at the left."
+        )
     if page.bitspersample != 8 * page.dtype.itemsize:
         raise BadInputError(f"{path} packs {page.bitspersample} bits a pixel. Export 8, 16 or 32 bits a pixel.")
 

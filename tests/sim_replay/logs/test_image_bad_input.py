@@ -140,6 +140,7 @@ BAD: dict[str, tuple[Callable[[Path], Path], str]] = {
         lambda d: beside(tiff(d, plane(np.complex64))),
         "holds complex numbers.*Write what they are",
     ),
+    "turned": (lambda d: beside(tiff(d, extratags=[(274, "H", 1, 6, True)])), "stored turned.*Export it upright"),
     "two planes": (two_planes, "name the image in it by `dataset`.*one, two"),
 }
 

@@ -210,6 +210,23 @@ def test_hdf5_takes_its_only_plane_or_the_one_that_is_named(tmp_path: Path) -> N
 # --- looks from complex images ---
 
 
+def test_packed_numbers_are_unpacked_and_pixels_without_a_measurement_are_none(tmp_path: Path) -> None:
+    stored = plane(np.int16)
+    expected = (0.5 * stored.astype(np.float32) + 2.0) ** 2
+    stored[3, 7], expected[3, 7] = -9, np.nan
+    with h5py.File(tmp_path / "a.nc", "w") as file:
+        file["image"] = stored
+        file["image"].attrs.update({"scale_factor": [0.5], "add_offset": [2.0], "_FillValue": np.int16([-9])})
+    np.testing.assert_allclose(intensities(beside(tmp_path / "a.nc")), expected)
+
+
+def test_what_a_tiff_names_as_no_data_is_none(tmp_path: Path) -> None:
+    stored, no_data = plane(), [(42113, "s", 0, "65535", True)]
+    stored[3, 7] = 65535
+    tifffile.imwrite(tmp_path / "a.tif", stored, photometric="minisblack", extratags=no_data)
+    assert np.argwhere(np.isnan(intensities(beside(tmp_path / "a.tif")))).tolist() == [[3, 7]]
+
+
 def speckle(n_lines: int, n_pixels: int, band: float, centroid: float) -> NDArray[Any]:
     """White complex noise whose spectrum along the lines fills `band` around `centroid`."""
     random = np.random.default_rng(3)
