@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, cast
 
 from auv_mcm.classify.beliefs import MINE_LIKE_P
 from auv_mcm.clean_text import clean
@@ -225,7 +225,7 @@ def _line(sheet: FPDF, size: float, style: str, text: str, *, width_mm: float = 
     """Write a paragraph, or find out how much room it takes. Returns its height in mm."""
     sheet.set_font("helvetica", style, size)
     how: dict[str, Any] = {"new_x": "LMARGIN", "new_y": "NEXT", "output": "HEIGHT", "dry_run": dry_run}
-    return float(sheet.multi_cell(width_mm, 0.45 * size, _latin(text), align="L", **how))
+    return cast(float, sheet.multi_cell(width_mm, 0.45 * size, _latin(text), align="L", **how))
 
 
 def _latin(text: str) -> str:

@@ -7,6 +7,7 @@ import re
 import shutil
 import zlib
 from pathlib import Path
+from typing import Any
 
 import cv2
 import msgspec
@@ -132,10 +133,9 @@ def test_where_nothing_was_judged_there_is_nothing_to_learn(tmp_path: Path) -> N
 
 
 def test_words_of_a_sheet_stay_above_the_lower_margin_however_long_they_are(tmp_path: Path) -> None:
-    told = {"verdict": "mine_like", "judged_by": "k" * 64, "verdict_comment": "W" * 400}
-    one = contact_feature(contacts()[0])
-    told_of = {**one, "properties": {**one["properties"], **told}}
-    write_contact_sheet(tmp_path / "long.pdf", tmp_path, {"contacts": [told_of] * 9}, "Line 7")
+    one: Any = contact_feature(contacts()[0])
+    one["properties"] |= {"verdict": "mine_like", "judged_by": "k" * 64, "verdict_comment": "W" * 400}
+    write_contact_sheet(tmp_path / "long.pdf", tmp_path, {"contacts": [one] * 9}, "Line 7")
     pages = re.findall(rb"stream\n(.*?)\nendstream", (tmp_path / "long.pdf").read_bytes(), re.DOTALL)
     heights_pt = [float(up) for page in pages for up in re.findall(rb"BT [\d.-]+ ([\d.-]+) Td", zlib.decompress(page))]
     assert len(heights_pt) > 90

@@ -216,7 +216,7 @@ def test_packed_numbers_are_unpacked_and_pixels_without_a_measurement_are_none(t
     stored[3, 7], expected[3, 7] = -9, np.nan
     with h5py.File(tmp_path / "a.nc", "w") as file:
         file["image"] = stored
-        file["image"].attrs.update({"scale_factor": [0.5], "add_offset": [2.0], "_FillValue": np.int16([-9])})
+        file["image"].attrs.update({"scale_factor": [0.5], "add_offset": [2.0], "_FillValue": np.array([-9], np.int16)})
     np.testing.assert_allclose(intensities(beside(tmp_path / "a.nc")), expected)
 
 
