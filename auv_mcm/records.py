@@ -421,10 +421,9 @@ class SeabedCells(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
     Cell (i, j) covers the tile's core from i * cell_m[0] on along track, and ground range [j, j + 1) * cell_m[1]; the
     last ones may be cut short. Arrays are (n_along, n_across): kind uint8, index into SEABED_TYPES; confidence float32,
-    posterior probability of it, 0 where too little was measured to decide (the kind is `unknown` there). ripple_rad
-    float32: compass direction in which crests follow one another, [0, pi), wavelength_m float32: their distance; both
-    NaN where there are no ripples. unevenness_db float32: standard deviation of the mean echoes of cells, within three
-    cells of this one, NaN where too little was measured.
+    posterior probability of it, 0 where too little was measured to decide (the kind is `unknown` there). float32, NaN
+    where there is none: ripple_rad, compass direction in which crests follow one another, [0, pi); wavelength_m, their
+    distance; unevenness_db, standard deviation of mean echoes from cell to cell, within three cells of this one.
     """
 
     cell_m: tuple[float, float]
@@ -438,13 +437,11 @@ class SeabedCells(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 class SurveyedCells(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     """Hold the cells that one side of one tile surveyed, in the mission's own plane.
 
-    The cells are square; the plane touches the ellipsoid at the origin.
-
-    Every array is (n,). Cell (east_index, north_index) int32 spans [index, index + 1) * cell_m. fraction float32: of
-    its area that earned coverage here, times what the detector's budget allowed for. Means over that area, float32:
-    ground_range_m, altitude_m, look_rad (compass direction from the sonar to it, [0, 2 pi)). seabed uint8: index into
-    SEABED_TYPES of the kind that most of it is; confidence float32; ripple_rad, wavelength_m, unevenness_db
-    float32 as in `SeabedCells`.
+    The cells are square; the plane touches the ellipsoid at the origin. Every array is (n,). Cell (east_index,
+    north_index) int32 spans [index, index + 1) * cell_m. fraction float32: of its area that earned coverage here, times
+    what the detector's budget allowed for. Means over that area, float32: ground_range_m, altitude_m, look_rad (compass
+    direction from the sonar to it, [0, 2 pi)). seabed uint8: index into SEABED_TYPES of the kind that most of it is.
+    The others are float32 as in `SeabedCells`.
     """
 
     origin_latitude_deg: float
