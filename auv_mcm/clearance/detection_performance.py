@@ -7,7 +7,7 @@ linearly. Seen lower, the same range is grazed more flatly and shadows are longe
 
 with an exponent chosen by what predicts missions left out best. Ripples have three tables, by the angle between the
 look and the direction in which crests follow one another: 0-30, 30-60 and 60-90 degrees, read linearly between their
-middles. Tables hold for sea floor of USUAL_UNEVENNESS_DB; every decibel more divides the odds by exp(loss_per_db).
+middles. Tables hold for sea floor up to USUAL_UNEVENNESS_DB; every decibel more divides the odds by exp(loss_per_db).
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ _LOSS_POWER, to 13,045 looks of beams of 0.25 to 3 degrees in the missions of se
 fitted; at 0.4, 0.8, 1.3 and 2 degrees 0.69, 0.51, 0.36 and 0.23 were found."""
 _LOSS_POWER: Final = 1.4  # of the footprint, fitted with it
 USUAL_UNEVENNESS_DB: Final = 2.0
-"""Unevenness of sea floor, as in `SeabedCells`, that tables hold for: about the median where relief is 0.2 m at most.
-"""
+"""Unevenness of sea floor, as in `SeabedCells`, up to which tables hold: the median of relief up to 0.2 m.
+Less promises no more: even floor elsewhere may hold fainter mines than the missions of the fit."""
 STEEPEST_RAD: Final = math.radians(70.0)  # grazing angle beyond which, near the nadir, no mine is found
 _FILE: Final = "detection_performance.json"
 
@@ -169,8 +169,7 @@ class Performance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
     def _uneven(self, p: Array, unevenness_db: ArrayLike) -> Array:
         """Divide the odds of probabilities by what unevenness costs."""
-        more_db = np.asarray(unevenness_db, dtype=np.float64) - USUAL_UNEVENNESS_DB
-        factor = np.exp(-self.loss_per_db * np.nan_to_num(more_db))
+        factor = np.exp(-self.loss_per_db * more_than_usual_db(unevenness_db))
         return np.asarray(p * factor / (p * factor + (1.0 - p)))
 
     def p_by_floor(self, ground_range_m: ArrayLike, altitude_m: float) -> Array:
@@ -225,6 +224,11 @@ class Performance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         within = np.where(seen, range_m, 0.0)
         middle = 0.5 * (edges[1:] + edges[:-1])
         return np.stack([np.where(seen, np.interp(within, middle, row), 0.0) for row in table])
+
+
+def more_than_usual_db(unevenness_db: ArrayLike) -> Array:
+    """Compute by how much sea floor is more uneven than tables hold for, 0 where that is not known."""
+    return np.fmax(np.asarray(unevenness_db, dtype=np.float64) - USUAL_UNEVENNESS_DB, 0.0)
 
 
 def aspect_rad(look_rad: ArrayLike, ripple_rad: ArrayLike) -> Array:

@@ -21,11 +21,11 @@ from auv_mcm.clearance.detection_performance import (
     FLOORS,
     RIPPLES,
     USUAL_BEAM_DEG,
-    USUAL_UNEVENNESS_DB,
     Band,
     Floor,
     Performance,
     aspect_rad,
+    more_than_usual_db,
 )
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import SEABED_TYPES
@@ -134,7 +134,7 @@ def fitted_tables(seen: Outcomes, exponent: float, fitted_on: str, loss_per_db: 
     """Fit the tables for one exponent and one loss by unevenness, looks taken for independent."""
     band = bands_of(seen, exponent)
     n_looks, n_found = (counts(seen.floor, band, weight) for weight in (None, seen.found))
-    more_log_odds = -loss_per_db * np.nan_to_num(seen.unevenness_db - USUAL_UNEVENNESS_DB)
+    more_log_odds = -loss_per_db * more_than_usual_db(seen.unevenness_db)
     usual = shares_where_usual(seen, band, more_log_odds)
     effect = design_effect(seen, band, more_log_odds)
     floors: dict[Floor, tuple[Band, ...]] = {}
@@ -165,7 +165,7 @@ def fitted_tables(seen: Outcomes, exponent: float, fitted_on: str, loss_per_db: 
 
 
 def shares_where_usual(seen: Outcomes, band: Ints, more_log_odds: Array) -> Array:
-    """Find the share of looks that would have found their target had every floor been of the usual unevenness.
+    """Find the share of looks that would have found their target had no floor been more uneven than usual.
 
     (len(FLOORS), n_bands): with it, as many are expected to be found as were; 0 without looks. more_log_odds: (n,) of a
     look than there.

@@ -108,8 +108,8 @@ def test_counts_are_those_of_counting() -> None:
         assert k[floor, number] == sum(bool(seen.found[i]) for i in here)
 
 
-def test_tables_show_what_is_found_where_floor_is_as_uneven_as_usual() -> None:
-    """In a world where each decibel takes 0.7 off the log-odds of 1.5, four in five looks are at more uneven floor."""
+def test_tables_show_what_is_found_where_floor_is_no_more_uneven_than_usual() -> None:
+    """In a world where each decibel beyond takes 0.7 off the log-odds of 1.5; four in five looks are beyond."""
     rng = np.random.Generator(np.random.PCG64(3))
     looks = [
         look(
@@ -124,7 +124,7 @@ def test_tables_show_what_is_found_where_floor_is_as_uneven_as_usual() -> None:
         for mission in range(12)
         for target in range(300)
         for ground_m, db, look_deg in rng.uniform((10.0, 1.0, 0.0), (70.0, 6.0, 360.0), (1, 3)).tolist()
-        for found in [bool(rng.uniform() < 1.0 / (1.0 + math.exp(0.7 * (db - 2.0) - 1.5)))]
+        for found in [bool(rng.uniform() < 1.0 / (1.0 + math.exp(0.7 * max(db - 2.0, 0.0) - 1.5)))]
     ]
     fitted = fit_performance(looks, "a world")
     assert fitted.loss_per_db == pytest.approx(0.7, abs=0.08)
