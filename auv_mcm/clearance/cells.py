@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,6 +50,16 @@ class _Cells(NamedTuple):
         return np.asarray(np.bincount(self.of_block, value, self.n_cells)[self.kept], dtype=np.float64)
 
 
+class _Floor(NamedTuple):
+    """Hold the sea floor of cells, (n,) each, as `SurveyedCells` names it."""
+
+    kind: NDArray[np.int64]
+    confidence: Array
+    ripple_rad: Array
+    wavelength_m: Array
+    unevenness_db: Array
+
+
 def surveyed_cells(
     tile: Tile,
     covered: NDArray[np.bool_],
@@ -91,6 +101,7 @@ def surveyed_cells(
     look = blocks.look_m / np.maximum(np.hypot(blocks.look_m[:, 0], blocks.look_m[:, 1]), 1e-9)[:, np.newaxis]
     look_rad = np.mod(np.arctan2(mean(look[:, 0]), mean(look[:, 1])), 2.0 * math.pi)
     altitude_m = tile.first_return_m[np.minimum(np.rint(blocks.row).astype(int), len(tile.first_return_m) - 1)]
+    floor = _floor(seabed, tile, blocks, cells)
     return SurveyedCells(
         origin_latitude_deg=frame.latitude_deg,
         origin_longitude_deg=frame.longitude_deg,
@@ -101,7 +112,11 @@ def surveyed_cells(
         ground_range_m=mean(blocks.ground_m).astype(np.float32),
         altitude_m=mean(altitude_m).astype(np.float32),
         look_rad=np.where(look_rad >= 2.0 * math.pi, 0.0, look_rad).astype(np.float32),
-        **_seabed(seabed, tile, blocks, cells),
+        seabed=floor.kind.astype(np.uint8),
+        confidence=floor.confidence.astype(np.float32),
+        ripple_rad=floor.ripple_rad.astype(np.float32),
+        wavelength_m=floor.wavelength_m.astype(np.float32),
+        unevenness_db=floor.unevenness_db.astype(np.float32),
     )
 
 
@@ -137,15 +152,12 @@ def _placed(tile: Tile, row: Array, ground_m: float, sonar: SonarConfig, frame: 
     return frame.to_enu(latitude, longitude, height)[:, :2]
 
 
-def _seabed(seabed: SeabedCells | None, tile: Tile, blocks: _Blocks, cells: _Cells) -> dict[str, Any]:
-    """Give the commonest kind of sea floor per cell, its mean confidence, the axial mean of its ripples, and how uneven
-    all of it is; by their names in `SurveyedCells`."""
+def _floor(seabed: SeabedCells | None, tile: Tile, blocks: _Blocks, cells: _Cells) -> _Floor:
+    """Say what lies in each cell: the commonest kind of sea floor, and of all of it how uneven it is."""
     n_kept, area_m2 = len(cells.kept), blocks.area_m2
     if seabed is None:
-        unknown = np.full(n_kept, SEABED_TYPES.index("unknown"), dtype=np.uint8)
-        nothing = np.full(n_kept, NAN, dtype=np.float32)
-        names = ("ripple_rad", "wavelength_m", "unevenness_db")
-        return {"seabed": unknown, "confidence": np.zeros(n_kept, dtype=np.float32), **dict.fromkeys(names, nothing)}
+        nothing = np.full(n_kept, NAN)
+        return _Floor(np.full(n_kept, SEABED_TYPES.index("unknown")), np.zeros(n_kept), nothing, nothing, nothing)
     n_along, n_across = seabed.kind.shape
     along = np.clip(
         ((blocks.row - tile.core_start + 0.5) * tile.row_spacing_m // seabed.cell_m[0]).astype(int), 0, n_along - 1
@@ -156,25 +168,33 @@ def _seabed(seabed: SeabedCells | None, tile: Tile, blocks: _Blocks, cells: _Cel
     commonest = np.argmax(by_kind, axis=0)
     commonest_of = np.zeros(cells.n_cells, dtype=int)
     commonest_of[cells.kept] = commonest
-    agrees = area_m2 * (kind == commonest_of[cells.of_block])
+    agrees_m2 = area_m2 * (kind == commonest_of[cells.of_block])
     of_kept = np.maximum(by_kind[commonest, np.arange(n_kept)], 1e-12)
-    confidence = cells.sums(agrees * seabed.confidence[along, across]) / of_kept
-    ripple = seabed.ripple_rad[along, across].astype(np.float64)
-    weight = np.where(np.isfinite(ripple), agrees, 0.0)
-    ripple = np.nan_to_num(ripple)
-    rippled = cells.sums(weight)
-    # Twice the angle, since a direction and its opposite are the same ripples.
-    sine, cosine = (cells.sums(weight * part) for part in (np.sin(2.0 * ripple), np.cos(2.0 * ripple)))
-    is_rippled = rippled > 0.0
-    direction = np.mod(0.5 * np.arctan2(sine, cosine), math.pi)
-    wavelength = cells.sums(weight * np.nan_to_num(seabed.wavelength_m[along, across])) / np.maximum(rippled, 1e-12)
+    confidence = cells.sums(agrees_m2 * seabed.confidence[along, across]) / of_kept
+    ripple_rad = seabed.ripple_rad[along, across].astype(np.float64)
+    rippled_m2 = np.where(np.isfinite(ripple_rad), agrees_m2, 0.0)
+    wavelength_m = _mean(seabed.wavelength_m[along, across], rippled_m2, cells)
     uneven_db = seabed.unevenness_db[along, across].astype(np.float64)
-    measured_m2 = cells.sums(np.where(np.isfinite(uneven_db), area_m2, 0.0))
-    uneven_db = cells.sums(area_m2 * np.nan_to_num(uneven_db)) / np.maximum(measured_m2, 1e-12)
-    columns = {
-        "confidence": confidence,
-        "ripple_rad": np.where(is_rippled, np.where(direction >= math.pi, 0.0, direction), NAN),
-        "wavelength_m": np.where(is_rippled, wavelength, NAN),
-        "unevenness_db": np.where(measured_m2 > 0.0, uneven_db, NAN),
-    }
-    return {"seabed": commonest.astype(np.uint8)} | {name: one.astype(np.float32) for name, one in columns.items()}
+    measured_m2 = np.where(np.isfinite(uneven_db), area_m2, 0.0)
+    return _Floor(
+        commonest,
+        confidence,
+        _axial_mean(ripple_rad, rippled_m2, cells),
+        wavelength_m,
+        _mean(uneven_db, measured_m2, cells),
+    )
+
+
+def _mean(value: Array, weight: Array, cells: _Cells) -> Array:
+    """Average a value of blocks over each cell; NaN where nothing weighs, and NaN counts nothing."""
+    total = cells.sums(weight)
+    mean = cells.sums(weight * np.nan_to_num(value)) / np.maximum(total, 1e-12)
+    return np.where(total > 0.0, mean, NAN)
+
+
+def _axial_mean(angle_rad: Array, weight: Array, cells: _Cells) -> Array:
+    """Average directions over each cell, [0, pi): twice the angle, since the opposite is the same ripples."""
+    twice = 2.0 * np.nan_to_num(angle_rad)
+    sine, cosine = (cells.sums(weight * part) for part in (np.sin(twice), np.cos(twice)))
+    direction = np.mod(0.5 * np.arctan2(sine, cosine), math.pi)
+    return np.where(cells.sums(weight) > 0.0, np.where(direction >= math.pi, 0.0, direction), NAN)

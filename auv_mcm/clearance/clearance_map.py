@@ -15,6 +15,7 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from auv_mcm.clearance.detection_performance import CellView
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import NAN, SEABED_TYPES, CoveragePatch, Side, SurveyedCells
 
@@ -48,19 +49,8 @@ class LookModel(Protocol):
     def other_look_correlation(self) -> float:
         """Return the part of a further view from elsewhere that adds nothing new."""
 
-    def p_look(
-        self,
-        seabed: NDArray[np.uint8],
-        ground_range_m: NDArray[np.float32],
-        altitude_m: NDArray[np.float32],
-        look_rad: NDArray[np.float32],
-        ripple_rad: NDArray[np.float32],
-        unevenness_db: NDArray[np.float32],
-    ) -> Array:
-        """Compute the probability that one view of the whole of a cell finds a mine there, (n,).
-
-        Arguments as in `SurveyedCells`.
-        """
+    def p_look(self, view: CellView) -> Array:
+        """Compute the probability that one view of the whole of a cell finds a mine there, (n,)."""
         ...
 
 
@@ -165,18 +155,8 @@ class ClearanceMap:
             raise ValueError(
                 "patches of two missions: their cells lie in different planes. Give each mission a map of its own"
             )
-        p = np.clip(
-            self._model.p_look(
-                cells.seabed,
-                cells.ground_range_m,
-                cells.altitude_m,
-                cells.look_rad,
-                cells.ripple_rad,
-                cells.unevenness_db,
-            ),
-            0.0,
-            HIGHEST_P,
-        )
+        view = CellView(*(getattr(cells, name) for name in CellView._fields))
+        p = np.clip(self._model.p_look(view), 0.0, HIGHEST_P)
         self._looks.append(_Look(p, cells))
         self._numbers.append(self._pass_of(patch))
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from importlib import resources
-from typing import Annotated, Final, Literal, TypeAlias, get_args
+from typing import Annotated, Final, Literal, NamedTuple, TypeAlias, get_args
 
 import msgspec
 import numpy as np
@@ -55,6 +55,17 @@ _FILE: Final = "detection_performance.json"
 
 _Probability: TypeAlias = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
 _Count: TypeAlias = Annotated[int, msgspec.Meta(ge=0)]
+
+
+class CellView(NamedTuple):
+    """Hold how cells are seen: parts that broadcast, as in `SurveyedCells`."""
+
+    seabed: ArrayLike
+    ground_range_m: ArrayLike
+    altitude_m: ArrayLike
+    look_rad: ArrayLike
+    ripple_rad: ArrayLike
+    unevenness_db: ArrayLike = NAN
 
 
 class Band(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -130,47 +141,19 @@ class Performance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
             )
         return msgspec.structs.replace(self, floors=floors, beam_width_deg=math.degrees(beam_width_rad))
 
-    def p_look(
-        self,
-        seabed: ArrayLike,
-        ground_range_m: ArrayLike,
-        altitude_m: ArrayLike,
-        look_rad: ArrayLike,
-        ripple_rad: ArrayLike,
-        unevenness_db: ArrayLike = NAN,
-    ) -> Array:
+    def p_look(self, view: CellView) -> Array:
         """Compute the probability that one view of the whole of a cell finds a mine there.
 
-        float64, arguments broadcast. Arguments as in `SurveyedCells`. 0 where the grazing angle is beyond 70 degrees,
-        farther than the last band, and where range or altitude is not known. An unknown floor is taken for the one with
-        the minimum there, ripples of unknown direction as from the worst one, unknown unevenness as usual. Raises
-        ValueError for a seabed that is not in SEABED_TYPES.
+        float64, as the view's parts broadcast. 0 where the grazing angle is beyond 70 degrees, farther than the last
+        band, and where range or altitude is not known. An unknown floor is taken for the one with the minimum there,
+        ripples of unknown direction as from the worst one, unknown unevenness as usual. Raises ValueError for a seabed
+        that is not in SEABED_TYPES.
         """
-        p = self._read(self._column("p"), seabed, ground_range_m, altitude_m, look_rad, ripple_rad)
-        return self._uneven(p, unevenness_db)
+        return self._read("p", view)
 
-    def interval(
-        self,
-        seabed: ArrayLike,
-        ground_range_m: ArrayLike,
-        altitude_m: ArrayLike,
-        look_rad: ArrayLike,
-        ripple_rad: ArrayLike,
-        unevenness_db: ArrayLike = NAN,
-    ) -> tuple[Array, Array]:
-        """Compute the 95 % interval of what `p_look` may be on average over missions; arguments and errors as there."""
-        low, high = (
-            self._uneven(
-                self._read(self._column(end), seabed, ground_range_m, altitude_m, look_rad, ripple_rad), unevenness_db
-            )
-            for end in ("low", "high")
-        )
-        return low, high
-
-    def _uneven(self, p: Array, unevenness_db: ArrayLike) -> Array:
-        """Divide the odds of probabilities by what unevenness costs."""
-        factor = np.exp(-self.loss_per_db * more_than_usual_db(unevenness_db))
-        return np.asarray(p * factor / (p * factor + (1.0 - p)))
+    def interval(self, view: CellView) -> tuple[Array, Array]:
+        """Compute the 95 % interval of what `p_look` may be on average over missions; errors as there."""
+        return self._read("low", view), self._read("high", view)
 
     def p_by_floor(self, ground_range_m: ArrayLike, altitude_m: float) -> Array:
         """Read each table at ground ranges (n,): (len(FLOORS), n) probabilities."""
@@ -193,29 +176,22 @@ class Performance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         """Stack one field of all bands, (len(FLOORS), n_bands)."""
         return np.array([[getattr(band, name) for band in self.floors[floor]] for floor in FLOORS])
 
-    def _read(
-        self,
-        table: Array,
-        seabed: ArrayLike,
-        ground_range_m: ArrayLike,
-        altitude_m: ArrayLike,
-        look_rad: ArrayLike,
-        ripple_rad: ArrayLike,
-    ) -> Array:
-        kind, ground, altitude, look, ripple = np.broadcast_arrays(
-            np.asarray(seabed),
-            *(np.asarray(part, dtype=np.float64) for part in (ground_range_m, altitude_m, look_rad, ripple_rad)),
+    def _read(self, field: Literal["p", "low", "high"], view: CellView) -> Array:
+        """Read one field of the bands at each place of a view, its odds divided by what unevenness costs."""
+        kind, ground, altitude, look, ripple, unevenness_db = np.broadcast_arrays(
+            np.asarray(view.seabed), *(np.asarray(part, dtype=np.float64) for part in view[1:])
         )
         if kind.size and not (kind.min() >= 0 and kind.max() < len(SEABED_TYPES)):
             raise ValueError(
                 f"seabed: {kind.min()} to {kind.max()}, where SEABED_TYPES has 0 to {len(SEABED_TYPES) - 1}"
             )
-        by_floor = self._by_floor(table, self.read_range_m(ground, altitude))
+        by_floor = self._by_floor(self._column(field), self.read_range_m(ground, altitude))
         found = np.zeros(ground.shape)
         for index, name in enumerate(SEABED_TYPES):
             here = kind == index
             found[here] = _of_kind(name, by_floor[:, here], look[here], ripple[here])
-        return found
+        factor = np.exp(-self.loss_per_db * more_than_usual_db(unevenness_db))
+        return np.asarray(found * factor / (found * factor + (1.0 - found)))
 
     def _by_floor(self, table: Array, range_m: Array) -> Array:
         """Interpolate values at ranges as read, (len(FLOORS), ...), 0 where no mine is found."""

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from auv_mcm.clearance.area import Area, area_state, frame_of, in_plane, middles_m, over_area
 from auv_mcm.clearance.clearance_map import HIGHEST_P, Clearance, LookModel, look_bit
+from auv_mcm.clearance.detection_performance import CellView
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.plan.dubins import PlanePose
 from auv_mcm.plan.limits import Limits, obstacle
@@ -243,17 +244,17 @@ class ClearArea:
             seen &= abeam_s > np.where(to_right_m > 0.0, starboard_s, port_s)
         heading = _heading_rad(np.stack([entry, leave]))
         look = np.mod(heading + np.sign(to_right_m[seen]) * 0.5 * math.pi, 2.0 * math.pi).astype(np.float32)
-        p = self._model.p_look(
-            ground.seabed[seen],
-            np.abs(to_right_m[seen]).astype(np.float32),
-            np.full(len(look), limits.altitude_m, dtype=np.float32),
-            look,
-            ground.ripple_rad[seen],
-            ground.unevenness_db[seen],
+        view = CellView(
+            seabed=ground.seabed[seen],
+            ground_range_m=np.abs(to_right_m[seen]).astype(np.float32),
+            altitude_m=np.float32(limits.altitude_m),
+            look_rad=look,
+            ripple_rad=ground.ripple_rad[seen],
+            unevenness_db=ground.unevenness_db[seen],
         )
         renewed = np.where(ground.looks[seen] > 0, 1.0 - self._model.other_look_correlation, 1.0)
         added = exponent.copy()
-        added[seen] -= renewed * np.log1p(-np.clip(p, 0.0, HIGHEST_P))
+        added[seen] -= renewed * np.log1p(-np.clip(self._model.p_look(view), 0.0, HIGHEST_P))
         return added
 
     def _given_up(self, area: Area) -> str:

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.clearance.clearance_map import HIGHEST_P, Clearance, LookModel
+from auv_mcm.clearance.detection_performance import CellView
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.plan.limits import Limits
 from auv_mcm.plan.tracks import RIGHT, enterable
@@ -148,18 +149,15 @@ def _stand_offs(
     ripple[known] = clearance.ripple_rad[row[known], column[known]]
     unevenness[known] = clearance.unevenness_db[row[known], column[known]]
     look = np.add.outer([one.look_rad for one in requests], [0.0, math.pi]) % (2.0 * math.pi)
-    shape = (len(requests), 2, _RANGES)
-    arguments = (
-        seabed[:, None, None],
-        ground.astype(np.float32),
-        np.float32(limits.altitude_m),
-        look.astype(np.float32)[..., None],
+    view = CellView(
+        seabed=seabed[:, None, None],
+        ground_range_m=ground.astype(np.float32),
+        altitude_m=np.float32(limits.altitude_m),
+        look_rad=look.astype(np.float32)[..., None],
+        ripple_rad=ripple[:, None, None],
+        unevenness_db=unevenness[:, None, None],
     )
-    conditions = (
-        np.broadcast_to(part, shape).ravel() for part in (*arguments, ripple[:, None, None], unevenness[:, None, None])
-    )
-    p = np.asarray(model.p_look(*conditions), dtype=np.float64).reshape(shape)
-    p = np.clip(np.nan_to_num(p.min(axis=1), nan=0.0), 0.0, HIGHEST_P)
+    p = np.clip(np.nan_to_num(model.p_look(view).min(axis=1), nan=0.0), 0.0, HIGHEST_P)
     good = [np.flatnonzero(of_one >= _AS_GOOD * of_one.max()) for of_one in p]
     best = np.array([ranges[len(ranges) // 2] for ranges in good])
     return ground[best], p[np.arange(len(requests)), best]

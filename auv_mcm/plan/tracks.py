@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.clearance.clearance_map import HIGHEST_P, N_LOOKS, LookModel, look_bit
+from auv_mcm.clearance.detection_performance import CellView
 from auv_mcm.geometry.fence import circles_inside, runs_inside
 from auv_mcm.plan.dubins import PlanePose
 from auv_mcm.plan.limits import Limits, turns_inside
@@ -189,15 +190,15 @@ def _lines(cells: Cells, heading: float, offset_m: Array, model: LookModel, limi
     cell = order[place]
     to_right = beside[line, place] > 0.0
     look = np.where(to_right, heading + RIGHT, heading - RIGHT) % (2.0 * math.pi)
-    p = model.p_look(
-        cells.seabed[cell],
-        ground[line, place].astype(np.float32),
-        np.full(len(cell), limits.altitude_m, dtype=np.float32),
-        look.astype(np.float32),
-        cells.ripple_rad[cell],
-        cells.unevenness_db[cell],
+    view = CellView(
+        seabed=cells.seabed[cell],
+        ground_range_m=ground[line, place].astype(np.float32),
+        altitude_m=np.float32(limits.altitude_m),
+        look_rad=look.astype(np.float32),
+        ripple_rad=cells.ripple_rad[cell],
+        unevenness_db=cells.unevenness_db[cell],
     )
-    p = fraction[line, place] * np.clip(np.nan_to_num(p, nan=0.0), 0.0, HIGHEST_P)
+    p = fraction[line, place] * np.clip(np.nan_to_num(model.p_look(view), nan=0.0), 0.0, HIGHEST_P)
     exponent = -np.log1p(-p)
     kept = exponent > _MIN_EXPONENT
     line, cell = line[kept], cell[kept]

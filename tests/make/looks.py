@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
+
+from auv_mcm.clearance.detection_performance import CellView
 
 
 class EvenLook:
@@ -16,5 +16,5 @@ class EvenLook:
         self.same_look_correlation = same
         self.other_look_correlation = other
 
-    def p_look(self, seabed: NDArray[np.uint8], *conditions: Any, **named: Any) -> NDArray[np.float64]:
-        return np.full(np.shape(seabed), self._p)
+    def p_look(self, view: CellView) -> NDArray[np.float64]:
+        return np.full(np.broadcast_shapes(*(np.shape(part) for part in view)), self._p)

@@ -22,6 +22,7 @@ from auv_mcm.clearance.detection_performance import (
     RIPPLES,
     USUAL_BEAM_DEG,
     Band,
+    CellView,
     Floor,
     Performance,
     aspect_rad,
@@ -305,9 +306,7 @@ def surprise(performance: Performance, seen: Outcomes) -> float:
 
 def predicted(performance: Performance, seen: Outcomes) -> Array:
     """Return (n,) probability of each look, with its true floor."""
-    return performance.p_look(
-        seen.seabed, seen.ground_range_m, seen.altitude_m, seen.look_rad, seen.ripple_rad, seen.unevenness_db
-    )
+    return performance.p_look(CellView(*(getattr(seen, name) for name in CellView._fields)))
 
 
 def with_correlations(performance: Performance, seen: Outcomes) -> Performance:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from auv_mcm.clearance.area import area_state, middles_m, over_area
 from auv_mcm.clearance.clearance_map import HIGHEST_P, Clearance, ClearanceMap, look_bit
+from auv_mcm.clearance.detection_performance import CellView
 from auv_mcm.contacts.seen_area import SeenArea
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import SEABED_TYPES, CoveragePatch, SeabedType, Side
@@ -27,16 +28,8 @@ class Model(NamedTuple):
     same_look_correlation: float = 0.8
     other_look_correlation: float = 0.1
 
-    def p_look(
-        self,
-        seabed: NDArray[np.uint8],
-        ground_range_m: NDArray[np.float32],
-        altitude_m: NDArray[np.float32],
-        look_rad: NDArray[np.float32],
-        ripple_rad: NDArray[np.float32],
-        unevenness_db: NDArray[np.float32],
-    ) -> NDArray[np.float64]:
-        return np.asarray(1.0 - ground_range_m.astype(np.float64) / 50.0)
+    def p_look(self, view: CellView) -> NDArray[np.float64]:
+        return np.asarray(1.0 - np.asarray(view.ground_range_m, dtype=np.float64) / 50.0)
 
 
 class Reported(NamedTuple):

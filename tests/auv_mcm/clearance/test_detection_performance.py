@@ -17,6 +17,7 @@ from auv_mcm.clearance.detection_performance import (
     FLOORS,
     USUAL_UNEVENNESS_DB,
     Band,
+    CellView,
     Performance,
     aspect_rad,
     configured_performance,
@@ -141,7 +142,7 @@ def test_arrays_of_places_read_as_each_alone(
     reported = tables(exponent)
     kind = np.array([SEABED_TYPES.index(place[0]) for place in places], dtype=np.uint8)
     columns = [np.array([place[i] for place in places]) for i in range(1, 5)]
-    p = reported.p_look(kind, *columns)
+    p = reported.p_look(CellView(kind, *columns))
     assert p.dtype == np.float64
     # A grazing angle of 70 degrees, or the last edge, may fall to either side by rounding.
     ground, altitude = columns[0], columns[1]
@@ -159,9 +160,9 @@ def test_p_is_a_probability_inside_its_interval_and_unknown_is_the_most_cautious
 ) -> None:
     reported = tables()
     _, *where = place
-    p = {name: float(reported.p_look(index, *where)) for index, name in enumerate(SEABED_TYPES)}
+    p = {name: float(reported.p_look(CellView(index, *where))) for index, name in enumerate(SEABED_TYPES)}
     for index, name in enumerate(SEABED_TYPES):
-        low, high = (float(end) for end in reported.interval(index, *where))
+        low, high = (float(end) for end in reported.interval(CellView(index, *where)))
         assert 0.0 <= low <= p[name] + 1e-12
         assert p[name] <= high + 1e-12
         assert high <= 1.0
@@ -186,26 +187,26 @@ def test_nothing_is_found_below_beyond_and_where_range_or_altitude_is_not_known(
     ground_m: float, altitude_m: float
 ) -> None:
     for kind in range(len(SEABED_TYPES)):
-        assert tables().p_look(kind, ground_m, altitude_m, 0.0, 0.0) == 0.0
-        assert max(tables().interval(kind, ground_m, altitude_m, 0.0, 0.0)) == 0.0
+        assert tables().p_look(CellView(kind, ground_m, altitude_m, 0.0, 0.0)) == 0.0
+        assert max(tables().interval(CellView(kind, ground_m, altitude_m, 0.0, 0.0))) == 0.0
 
 
 def test_a_lower_flight_reads_the_table_farther_out() -> None:
     reported = tables()
     assert (
-        reported.p_look(0, 15.0, 3.0, 0.0, math.nan)
-        == reported.p_look(0, 30.0, 6.0, 0.0, math.nan)
+        reported.p_look(CellView(0, 15.0, 3.0, 0.0, math.nan))
+        == reported.p_look(CellView(0, 30.0, 6.0, 0.0, math.nan))
         == pytest.approx(0.7)
     )
-    assert tables(exponent=0.0).p_look(0, 15.0, 3.0, 0.0, math.nan) == pytest.approx(0.9)
+    assert tables(exponent=0.0).p_look(CellView(0, 15.0, 3.0, 0.0, math.nan)) == pytest.approx(0.9)
 
 
 def test_ripples_are_read_by_the_angle_to_them_whichever_way_round() -> None:
     reported = tables()
     for turn in (0.0, math.pi):
-        assert reported.p_look(RIPPLE, 15.0, 6.0, 0.3 + turn, 0.3) == pytest.approx(0.8)
-        assert reported.p_look(RIPPLE, 15.0, 6.0, 0.3 + turn + math.pi / 2.0, 0.3) == pytest.approx(0.2)
-    assert reported.p_look(RIPPLE, 15.0, 6.0, 0.3, math.nan) == pytest.approx(0.2)
+        assert reported.p_look(CellView(RIPPLE, 15.0, 6.0, 0.3 + turn, 0.3)) == pytest.approx(0.8)
+        assert reported.p_look(CellView(RIPPLE, 15.0, 6.0, 0.3 + turn + math.pi / 2.0, 0.3)) == pytest.approx(0.2)
+    assert reported.p_look(CellView(RIPPLE, 15.0, 6.0, 0.3, math.nan)) == pytest.approx(0.2)
     assert aspect_rad(3.1, 0.0) == pytest.approx(math.pi - 3.1)
     assert np.isnan(aspect_rad(0.0, math.nan))
 
@@ -213,13 +214,13 @@ def test_ripples_are_read_by_the_angle_to_them_whichever_way_round() -> None:
 def test_scalars_and_nothing_at_all_are_read() -> None:
     reported: LookModel = tables()
     none = np.empty(0, dtype=np.float32)
-    assert reported.p_look(np.empty(0, dtype=np.uint8), none, none, none, none, none).shape == (0,)
+    assert reported.p_look(CellView(np.empty(0, dtype=np.uint8), *[none] * 5)).shape == (0,)
     assert reported.same_look_correlation == 0.4
 
 
 def test_a_seabed_that_is_none_is_refused() -> None:
     with pytest.raises(ValueError, match="SEABED_TYPES"):
-        tables().p_look(len(SEABED_TYPES), 10.0, 6.0, 0.0, 0.0)
+        tables().p_look(CellView(len(SEABED_TYPES), 10.0, 6.0, 0.0, 0.0))
 
 
 def test_tables_come_back_from_json_as_they_were() -> None:
@@ -231,7 +232,8 @@ def test_the_shipped_tables_know_every_floor_and_are_no_better_than_sure() -> No
     for name in FLOORS:
         assert all(0.0 < band.p < 1.0 for band in reported.floors[name])
     flat, rough = (
-        reported.p_look(SEABED_TYPES.index(name), 25.0, reported.altitude_m, 0.0, np.nan) for name in ("flat", "rough")
+        reported.p_look(CellView(SEABED_TYPES.index(name), 25.0, reported.altitude_m, 0.0, np.nan))
+        for name in ("flat", "rough")
     )
     assert 0.0 < rough < flat < 1.0
 
@@ -280,20 +282,22 @@ def test_each_decibel_more_than_usual_divides_the_odds_by_as_much_and_less_chang
 ) -> None:
     usual = tables()
     uneven = msgspec.structs.replace(usual, loss_per_db=loss_per_db)
-    place = 0, ground_m, 6.0, 0.0, math.nan
+    there = CellView(0, ground_m, 6.0, 0.0, math.nan)
+    uneven_there = there._replace(unevenness_db=unevenness_db)
     for before, after in (
-        (usual.p_look(*place), uneven.p_look(*place, unevenness_db)),
-        *zip(usual.interval(*place), uneven.interval(*place, unevenness_db), strict=True),
+        (usual.p_look(there), uneven.p_look(uneven_there)),
+        *zip(usual.interval(there), uneven.interval(uneven_there), strict=True),
     ):
         more_db = max(unevenness_db - USUAL_UNEVENNESS_DB, 0.0)
         odds = float(before) / (1.0 - float(before)) * math.exp(-loss_per_db * more_db)
         assert float(after) == pytest.approx(odds / (1.0 + odds), rel=1e-9)
-    assert uneven.p_look(*place) == usual.p_look(*place)  # not measured: as usual
-    assert usual.p_look(*place, unevenness_db) == pytest.approx(usual.p_look(*place))  # tables that know of none
+    assert uneven.p_look(there) == usual.p_look(there)  # not measured: as usual
+    assert usual.p_look(uneven_there) == pytest.approx(usual.p_look(there))  # tables that know of none
 
 
 def test_the_shipped_tables_promise_little_over_floor_that_hides_mines() -> None:
     """Over floor of 8 dB 23 of 552 looks found their mine, in missions that no table was fitted on."""
-    hidden, usual = (float(shipped_performance().p_look(0, 30.0, 6.0, 0.0, math.nan, db)) for db in (7.0, 2.0))
+    sonar = shipped_performance()
+    hidden, usual = (float(sonar.p_look(CellView(0, 30.0, 6.0, 0.0, math.nan, db))) for db in (7.0, 2.0))
     assert hidden < 0.08
     assert usual > 0.8

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.clearance.clearance_map import clearance_over, unsearched
+from auv_mcm.clearance.detection_performance import CellView
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.plan.limits import Limits
 from auv_mcm.plan.survey import SurveyState
@@ -35,18 +36,12 @@ class Sonar(NamedTuple):
     same_look_correlation: float = 0.8
     other_look_correlation: float = 0.1
 
-    def p_look(
-        self,
-        seabed: NDArray[np.uint8],
-        ground_range_m: NDArray[np.float32],
-        altitude_m: NDArray[np.float32],
-        look_rad: NDArray[np.float32],
-        ripple_rad: NDArray[np.float32],
-        unevenness_db: NDArray[np.float32],
-    ) -> NDArray[np.float64]:
-        falls = 1.0 - 0.5 * np.maximum(ground_range_m.astype(np.float64) - 25.0, 0.0) / 25.0
-        kind = np.array([1.0, 0.9, 0.7, 0.6, 0.8])[seabed]
-        across = np.where(np.isfinite(ripple_rad), np.abs(np.cos(look_rad - np.nan_to_num(ripple_rad))), 1.0)
+    def p_look(self, view: CellView) -> NDArray[np.float64]:
+        falls = 1.0 - 0.5 * np.maximum(np.asarray(view.ground_range_m, dtype=np.float64) - 25.0, 0.0) / 25.0
+        kind = np.array([1.0, 0.9, 0.7, 0.6, 0.8])[np.asarray(view.seabed)]
+        ripple_rad = np.asarray(view.ripple_rad)
+        towards = np.asarray(view.look_rad) - np.nan_to_num(ripple_rad)
+        across = np.where(np.isfinite(ripple_rad), np.abs(np.cos(towards)), 1.0)
         return np.asarray(self.highest_p * falls * kind * (0.3 + 0.7 * across**2))
 
 

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from auv_mcm.clearance.clearance_map import ClearanceMap, clearance_over, unsearched
+from auv_mcm.clearance.detection_performance import CellView
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.plan.clear_area import MAX_VAIN_PASSES, ClearArea, floor_ahead
 from auv_mcm.plan.look_again import LookAgain, PlanRequest, Proposal, Run
@@ -194,8 +195,8 @@ class Mission:
 
 
 class _EasyFlat(EvenLook):
-    def p_look(self, seabed: NDArray[np.uint8], *where: NDArray[np.float32]) -> NDArray[np.float64]:
-        return np.where(seabed == SEABED_TYPES.index("flat"), 0.9, 0.3)
+    def p_look(self, view: CellView) -> NDArray[np.float64]:
+        return np.where(view.seabed == SEABED_TYPES.index("flat"), 0.9, 0.3)
 
 
 def drawn_patch(side: Side, start_s: float, stop_s: float, cells: SurveyedCells | None) -> CoveragePatch:

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from auv_mcm.clearance.clearance_map import HIGHEST_P, Clearance, clearance_over, look_bit, unsearched
+from auv_mcm.clearance.detection_performance import CellView
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.plan.dubins import PlanePose
 from auv_mcm.plan.limits import Limits
@@ -111,20 +112,15 @@ def legs_alone_raise(
                 near_m, far_m = LIMITS.swath
                 part = min(max(min(abs(beside) - near_m, far_m - abs(beside)) / CELL_M + 0.5, 0.0), 1.0)
                 look = heading + math.copysign(math.pi / 2.0, beside)
-                one = [
-                    np.array([value])
-                    for value in (
-                        clearance.seabed[row, column],
-                        abs(beside),
-                        5.0,
-                        look,
-                        clearance.ripple_rad[row, column],
-                        clearance.unevenness_db[row, column],
-                    )
-                ]
-                p = part * min(
-                    float(sonar.p_look(one[0], *(value.astype(np.float32) for value in one[1:]))[0]), HIGHEST_P
+                view = CellView(
+                    seabed=clearance.seabed[row, column],
+                    ground_range_m=np.float32(abs(beside)),
+                    altitude_m=np.float32(5.0),
+                    look_rad=np.float32(look),
+                    ripple_rad=clearance.ripple_rad[row, column],
+                    unevenness_db=clearance.unevenness_db[row, column],
                 )
+                p = part * min(float(sonar.p_look(view)), HIGHEST_P)
                 if p <= 0.0:
                     continue
                 alike = any(abs(math.remainder(look - other, 2.0 * math.pi)) <= math.radians(15.0) for other in taken)
@@ -160,12 +156,9 @@ def test_of_very_many_cells_it_plans_with_as_many_in_every_row_and_column(side: 
     state, asked = world(side, side, required=0.5), set[float]()
 
     class Asked(Sonar):
-        def p_look(
-            self, seabed: Any, ground_range_m: Any, altitude_m: Any, look_rad: Any, ripple_rad: Any, unevenness_db: Any
-        ) -> Any:
-            asked.update(ripple_rad.tolist())
-            none = np.full_like(ripple_rad, np.nan)
-            return super().p_look(seabed, ground_range_m, altitude_m, look_rad, none, unevenness_db)
+        def p_look(self, view: CellView) -> NDArray[np.float64]:
+            asked.update(np.asarray(view.ripple_rad).tolist())
+            return super().p_look(view._replace(ripple_rad=np.full_like(view.ripple_rad, np.nan)))
 
     state.clearance.ripple_rad[:] = np.linspace(0.0, 1e-3, side**2).reshape(side, side)
     plan = replan(state._replace(performance=Asked()), POSE, LIMITS, None, steps(0))

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from auv_mcm.classify.beliefs import MINE_LIKE_P
-from auv_mcm.clearance.detection_performance import FLOORS, parse_performance, shipped_performance
+from auv_mcm.clearance.detection_performance import FLOORS, CellView, parse_performance, shipped_performance
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import SEABED_TYPES
 from sim_replay.fitting.cascade.spec import SonarVariant
@@ -212,7 +212,9 @@ def test_the_fit_matches_the_world_and_can_be_written() -> None:
     assert reported.fitted_on == "2880 looks at 2880 targets in 12 simulated missions: seeds 800 to 801, 6 each"
     for kind, p in truth.items():
         for ground_m in (15.0, 25.0, 35.0, 45.0):
-            assert reported.p_look(SEABED_TYPES.index(kind), ground_m, 6.5, 0.0, 0.0) == pytest.approx(p, abs=0.15)
+            assert reported.p_look(CellView(SEABED_TYPES.index(kind), ground_m, 6.5, 0.0, 0.0)) == pytest.approx(
+                p, abs=0.15
+            )
     assert sum(band.n_looks for bands in reported.floors.values() for band in bands) == len(looks)
     widths_m = dict(zip(FLOORS, sweep_widths_m(reported), strict=True))
     assert widths_m["vegetation"] < widths_m["rough"] < widths_m["flat"] < 75.0
