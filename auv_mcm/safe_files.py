@@ -100,8 +100,8 @@ def replacing(path: Path, *, directory: int | None = None, durable: bool = True)
     except BaseException as error:
         with contextlib.suppress(OSError):
             os.unlink(temporary, dir_fd=directory)
-        if isinstance(error, OSError) and error.strerror and error.filename is None:  # as of a full disk
-            raise OSError(error.errno, error.strerror, str(path)) from error
+        if isinstance(error, OSError) and error.strerror and error.filename in (None, str(temporary)):
+            raise OSError(error.errno, error.strerror, str(path)) from error  # of the file that is meant
         raise
     if durable and directory is None:
         sync_directory(path.parent)
@@ -152,9 +152,11 @@ def open_for_update(path: Path) -> BinaryIO:
 
 
 def sync_directory(folder: Path) -> None:
-    """Make the names in a directory durable. Raises OSError."""
+    """Make the names in a directory durable. Raises OSError that names it."""
     descriptor = os.open(folder, _DIRECTORY)
     try:
         os.fsync(descriptor)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(folder)) from error
     finally:
         os.close(descriptor)

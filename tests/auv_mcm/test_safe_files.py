@@ -11,7 +11,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from auv_mcm.errors import BadInputError
-from auv_mcm.safe_files import open_for_append, open_regular, own_directory, read_regular, remove_unfinished, replacing
+from auv_mcm.safe_files import (
+    open_for_append,
+    open_regular,
+    own_directory,
+    read_regular,
+    remove_unfinished,
+    replacing,
+    sync_directory,
+)
 
 
 def test_a_regular_file_is_read_also_through_a_link(tmp_path: Path) -> None:
@@ -106,6 +114,24 @@ def test_a_full_disk_names_the_file_that_it_does_not_take(tmp_path: Path) -> Non
     with pytest.raises(OSError, match="No space left") as full, replacing(path):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     assert (full.value.errno, full.value.filename) == (errno.ENOSPC, str(path))
+
+
+def test_a_file_that_cannot_take_its_place_is_named_by_the_name_that_was_asked_for(tmp_path: Path) -> None:
+    path = tmp_path / "contacts.csv"
+    path.mkdir()
+    with pytest.raises(IsADirectoryError) as taken, replacing(path) as file:
+        file.write(b"whole")
+    assert (taken.value.filename, [entry.name for entry in tmp_path.iterdir()]) == (str(path), ["contacts.csv"])
+
+
+def test_a_directory_whose_names_cannot_be_kept_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(descriptor: int) -> None:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    monkeypatch.setattr(os, "fsync", fail)
+    with pytest.raises(OSError, match="Input/output") as lost:
+        sync_directory(tmp_path)
+    assert lost.value.filename == str(tmp_path)
 
 
 def test_files_are_as_readable_as_the_umask_says(tmp_path: Path) -> None:
