@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import logging
 import threading
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -24,14 +24,16 @@ _CHUNK_BYTES: Final = 256  # what a queued chunk takes beside its data
 _TAKE_S: Final = 0.1  # a short while of Python at a time, which the event loop has to wait for
 _TAKES_PER_FLUSH: Final = 5  # of _TAKE_S: flushed twice a second
 _CLOSE_S: Final = 10.0  # s for the last flush at the end; a dead disk must not keep the service
+RETRY_S: Final = 10.0  # s until a failed disk is tried again, twice as long each time: the queue bridges the first
+_LONGEST_RETRY_S: Final = 600.0  # a file at most every ten minutes, as of a disk that does not fail
 
 
 class SessionRecorder:
     """Record one session into a folder of its own.
 
-    Bytes are durable within a second. Those that come while the queue is full, and all after the disk was full or
-    failed, are lost: counted, reported by a notice and, where anything is written after them, marked in the recording.
-    A recorder that stopped does not start again. Counts session.chunks_recorded, .bytes_recorded (durable),
+    Bytes are durable within a second. A disk that is full or fails is tried again; what the queue holds is recorded
+    then. Bytes that come while it is full are lost: counted, reported by a notice and, where anything is written after
+    them, marked in the recording. Counts session.chunks_recorded, .bytes_recorded (durable),
     .chunks_lost and .bytes_lost.
     """
 
@@ -43,17 +45,20 @@ class SessionRecorder:
         file_bytes: int = FILE_BYTES,
         reserve_bytes: int = RESERVE_BYTES,
         queue_bytes: int = QUEUE_BYTES,
+        retry_s: float = RETRY_S,
         open_file: Callable[[Path], DurableFile] = DurableFile,
         free_bytes: Callable[[Path], int] = free_bytes,
     ) -> None:
         """Begin the recording.
 
         file_bytes, reserve_bytes: as of `SessionWriter`; queue_bytes: memory for what the disk has not taken yet.
+        retry_s: after which a disk that failed is tried again, twice as long each time.
 
         A full disk raises a notice. Raises UsageError for a folder that cannot be written to or holds a session
         already.
         """
         self._queue_bytes = queue_bytes
+        self._retry_s = retry_s
         self._lock = threading.Lock()
         self._queue: list[Recorded] = []
         self.queued_bytes = 0
@@ -62,18 +67,22 @@ class SessionRecorder:
         self._notices: list[Notice] = []
         self._place = str(folder)
         self._stopped = False
+        self._has_failed = False
         self._reported_slow = False
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name="session-recorder", daemon=True)
+        self._open = partial(
+            SessionWriter,
+            folder,
+            session,
+            file_bytes=file_bytes,
+            reserve_bytes=reserve_bytes,
+            open_file=open_file,
+            free_bytes=free_bytes,
+        )
+        self._writer: SessionWriter | None = None
         try:
-            self._writer = SessionWriter(
-                folder,
-                session,
-                file_bytes=file_bytes,
-                reserve_bytes=reserve_bytes,
-                open_file=open_file,
-                free_bytes=free_bytes,
-            )
+            self._writer = self._open()
         except FileExistsError as error:
             raise UsageError(
                 f"{folder} already holds a recorded session. Record each session into a folder of its own."
@@ -83,9 +92,8 @@ class SessionRecorder:
                 raise UsageError(
                     f"cannot record into {folder}: {error}. Check the path and its permissions."
                 ) from error
-            self._stop(error, [])
-        else:
-            self._thread.start()
+            self._report_failure(error)
+        self._thread.start()
 
     @property
     def counters(self) -> Counter[str]:
@@ -116,40 +124,69 @@ class SessionRecorder:
         if self._thread.is_alive():
             self._thread.join(_CLOSE_S)
         if self._thread.is_alive():
-            self._stop(TimeoutError("the disk does not answer"), [])
+            self._report_failure(TimeoutError("the disk does not answer"))
+            self._end([])
 
     def _run(self) -> None:
-        unsafe: list[Recorded] = []  # taken, but not durable
-        n_takes = 0
-        try:
-            while not self._stopped:
-                closing = self._closing.wait(_TAKE_S)
-                with self._lock:
-                    batch, self._queue = self._queue, []
-                    lost, self._lost_here = self._lost_here, None
-                unsafe += batch
-                for recorded in batch:
-                    self._writer.add(recorded)
-                if lost is not None:
-                    self._writer.add_lost(lost)
-                n_takes += 1
-                if closing or n_takes % _TAKES_PER_FLUSH == 0:
-                    self._writer.flush()
-                    self._count_durable(unsafe)
-                    unsafe = []
-                if closing:
-                    self._writer.close()
-                    self._stopped = True
-        except Exception as error:  # whatever it is, the mission goes on
-            self._stop(error, unsafe)
-            with contextlib.suppress(OSError):
-                self._writer.abandon()
+        unsafe: list[Recorded | Lost] = []  # taken, but not durable
+        retry_s = self._retry_s
+        while True:
+            try:
+                self._write(unsafe)
+                return
+            except OSError as error:
+                self._report_failure(error)
+                if self._closing.is_set():
+                    break
+            except Exception as error:  # whatever it is, the mission goes on; a defect would come again
+                self._report_failure(error)
+                break
+            self._closing.wait(retry_s)
+            retry_s = min(2.0 * retry_s, _LONGEST_RETRY_S)
+        if self._writer is not None:
+            self._writer.abandon()
+        self._end(unsafe)
 
-    def _count_durable(self, chunks: list[Recorded]) -> None:
+    def _write(self, unsafe: list[Recorded | Lost]) -> None:
+        """Write what is unsafe, and on until the end. Raises OSError."""
+        if self._writer is None:
+            self._writer = self._open()
+        elif self._has_failed:
+            self._writer.go_on(self.counters["session.chunks_recorded"])
+        add(self._writer, unsafe)
+        n_takes = 0
+        while not self._stopped:
+            closing = self._closing.wait(_TAKE_S)
+            with self._lock:
+                taken: list[Recorded | Lost] = [*self._queue]
+                taken += [] if self._lost_here is None else [self._lost_here]
+                self._queue, self._lost_here = [], None
+            unsafe += taken
+            add(self._writer, taken)
+            n_takes += 1
+            if closing or n_takes % _TAKES_PER_FLUSH == 0:
+                self._writer.flush()
+                self._count_durable(unsafe)
+            if closing:
+                self._writer.close()
+                self._stopped = True
+
+    def _count_durable(self, unsafe: list[Recorded | Lost]) -> None:
+        """Count what is durable now, and empty the list."""
         with self._lock:
+            chunks = [one for one in unsafe if isinstance(one, Recorded)]
+            unsafe.clear()
             self._counters["session.chunks_recorded"] += len(chunks)
             self._counters["session.bytes_recorded"] += sum(len(chunk.data) for chunk in chunks)
             self.queued_bytes -= sum(len(chunk.data) + _CHUNK_BYTES for chunk in chunks)
+            if not self._has_failed:
+                return
+            self._has_failed = False
+            text = (
+                f"recording into {self._place} goes on; {self._counters['session.bytes_lost']} bytes are missing so "
+                "far, and it marks where. Check the disk."
+            )
+            self._raise_notice(Notice(code="session_resumed", text=text, place=self._place))
 
     def _lose(self, port: str, stamp: Stamp, data: bytes) -> None:
         self._counters["session.chunks_lost"] += 1
@@ -159,7 +196,7 @@ class SessionRecorder:
         lost = self._lost_here or Lost(n_chunks=0, n_bytes={}, first=stamp, last=stamp)
         n_bytes = {**lost.n_bytes, port: lost.n_bytes.get(port, 0) + len(data)}
         self._lost_here = Lost(n_chunks=lost.n_chunks + 1, n_bytes=n_bytes, first=lost.first, last=stamp)
-        if not self._reported_slow:
+        if not (self._reported_slow or self._has_failed):
             self._reported_slow = True
             text = (
                 f"the disk under {self._place} is too slow for the data: bytes are missing from the recording, which "
@@ -167,20 +204,38 @@ class SessionRecorder:
             )
             self._raise_notice(Notice(code="session_bytes_lost", text=text, place=self._place))
 
-    def _stop(self, error: Exception, unsafe: list[Recorded]) -> None:
+    def _report_failure(self, error: Exception) -> None:
+        """Raise a notice where recording fails, once until it goes on."""
+        with self._lock:
+            if self._has_failed:
+                return
+            self._has_failed = True
+            why = (error.strerror if isinstance(error, OSError) else None) or error
+            again = "it is tried again" if isinstance(error, OSError) else "start again"
+            text = (
+                f"recording into {self._place} has stopped: {why}. The mission goes on without it; what was recorded "
+                f"before can be read. Free disk space or check the disk; {again}."
+            )
+            self._raise_notice(Notice(code="session_stopped", text=text, place=self._place))
+
+    def _end(self, unsafe: list[Recorded | Lost]) -> None:
+        """Record no more: what waits is lost."""
         with self._lock:
             self._stopped = True
-            given_up = unsafe + self._queue
+            given_up = [one for one in (*unsafe, *self._queue) if isinstance(one, Recorded)]
             self._queue, self.queued_bytes = [], 0
             self._counters["session.chunks_lost"] += len(given_up)
             self._counters["session.bytes_lost"] += sum(len(chunk.data) for chunk in given_up)
-            why = (error.strerror if isinstance(error, OSError) else None) or error
-            text = (
-                f"recording into {self._place} has stopped: {why}. The mission goes on without it; what was recorded "
-                "before can be read. Free disk space or check the disk, then start again."
-            )
-            self._raise_notice(Notice(code="session_stopped", text=text, place=self._place))
 
     def _raise_notice(self, notice: Notice) -> None:
         self._notices.append(notice)
         log.error("%s", notice.text)
+
+
+def add(writer: SessionWriter, entries: Sequence[Recorded | Lost]) -> None:
+    """Give chunks, and marks of lost ones, to a writer in order. Raises OSError."""
+    for one in entries:
+        if isinstance(one, Lost):
+            writer.add_lost(one)
+        else:
+            writer.add(one)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 from collections.abc import Callable
@@ -85,7 +86,7 @@ def free_bytes(folder: Path) -> int:
 class SessionWriter:
     """Write the files of one session.
 
-    After an OSError nothing more can be written; `abandon` then lets go of the file.
+    After an OSError nothing more can be written until `go_on` succeeds; `abandon` lets go of the file.
     """
 
     def __init__(
@@ -115,7 +116,7 @@ class SessionWriter:
         self._n_messages = 0
         self._pending_bytes = 0
         folder.mkdir(parents=True, exist_ok=True)
-        self._refuse_full_disk()
+        self._refuse_full_disk(reserve_bytes)
         self._begin_file()
 
     def add(self, recorded: Recorded) -> None:
@@ -140,6 +141,17 @@ class SessionWriter:
             self._finish_file()
             self._begin_file()
 
+    def go_on(self, n_messages: int) -> None:
+        """Begin a new file behind n messages, when writing has failed: those after them are to be added again.
+
+        What is read twice then has the same number twice. Asks for twice the reserve, so that a disk at its limit does
+        not make many files. Raises OSError.
+        """
+        self.abandon()
+        self._n_messages, self._pending_bytes = n_messages, 0
+        self._refuse_full_disk(2 * self._reserve_bytes)
+        self._begin_file()
+
     def close(self) -> None:
         """Make everything durable and write the last file's summary."""
         if self._pending_bytes:
@@ -147,11 +159,13 @@ class SessionWriter:
         self._finish_file()
 
     def abandon(self) -> None:
-        """Close the file as it is."""
-        self._file.close()
+        """Close the file as it is, unless that is done."""
+        with contextlib.suppress(OSError):
+            self._file.close()
 
     def _begin_file(self) -> None:
-        self._file = self._open_file(self._folder / file_name(self._n_files))
+        path = self._folder / file_name(self._n_files)
+        self._file = self._open_file(path)
         try:
             self._mcap = McapWriter(cast(IO[bytes], self._file), compression=CompressionType.NONE)
             self._mcap.start(PROFILE, f"auv-mcm {self._session.version}")
@@ -167,11 +181,13 @@ class SessionWriter:
             self._n_flushes = 0
             self._make_durable()
         except OSError:
-            self._file.close()
+            self.abandon()
+            with contextlib.suppress(OSError):
+                path.unlink()  # its number is free again
             raise
 
     def _make_durable(self) -> None:
-        self._refuse_full_disk()
+        self._refuse_full_disk(self._reserve_bytes)
         self._mcap.flush()  # type: ignore[no-untyped-call]  # mcap leaves it unannotated
         self._file.sync()
         self._pending_bytes = 0
@@ -194,9 +210,9 @@ class SessionWriter:
         self._mcap.add_message(self._notes[topic], stamp.utc_ns, data, stamp.mono_ns)
         self._pending_bytes += len(data) + _MESSAGE_BYTES
 
-    def _refuse_full_disk(self) -> None:
+    def _refuse_full_disk(self, reserve_bytes: int) -> None:
         free = self._free_bytes(self._folder)
-        if free < self._reserve_bytes + self._pending_bytes:
+        if free < reserve_bytes + self._pending_bytes:
             raise OSError(
                 errno.ENOSPC,
                 f"only {free / 1e6:.1f} MB are free, {self._reserve_bytes / 1e6:.1f} MB are reserved for results and "

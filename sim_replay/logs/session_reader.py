@@ -155,14 +155,19 @@ class Session:
                 if channel.topic == LOST_TOPIC:
                     self._note_lost(msgspec.json.decode(record.data, type=Lost), file)
                 elif (direction := channel.metadata.get("direction")) in get_args(Direction):
-                    self._check_sequence(record.sequence, file)
+                    if self._is_read(record.sequence, file):
+                        continue
                     stamp = Stamp(mono_ns=record.publish_time, utc_ns=record.log_time)
                     yield Recorded(
                         channel.metadata.get("port", channel.topic), cast(Direction, direction), stamp, record.data
                     )
 
-    def _check_sequence(self, sequence: int, file: _File) -> None:
-        if self._next_sequence is not None and (n_missing := (sequence - self._next_sequence) % SEQUENCE_SPAN):
+    def _is_read(self, sequence: int, file: _File) -> bool:
+        """Check whether a message was read before: where the disk failed it may have been recorded twice."""
+        n_missing = 0 if self._next_sequence is None else (sequence - self._next_sequence) % SEQUENCE_SPAN
+        if n_missing >= SEQUENCE_SPAN // 2:
+            return True
+        if n_missing:
             self.counters["session.messages_missing"] += n_missing
             text = (
                 f"{n_missing} messages are missing before this place in {file.path}: a damaged chunk, or a file that "
@@ -170,6 +175,7 @@ class Session:
             )
             self.notices.append(Notice(code="session_messages_missing", text=text, place=str(file.path)))
         self._next_sequence = (sequence + 1) % SEQUENCE_SPAN
+        return False
 
     def _note_lost(self, lost: Lost, file: _File) -> None:
         n_bytes = sum(lost.n_bytes.values())

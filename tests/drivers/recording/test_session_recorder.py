@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import math
 import signal
 import subprocess
 import sys
@@ -88,6 +90,77 @@ def test_a_full_disk_stops_the_recording_and_nothing_else(tmp_path: Path) -> Non
     read = list(session := Session(tmp_path))
     assert read == chunks[: len(read)]
     assert session.counters["session.files_unfinished"] == 1
+
+
+@pytest.mark.parametrize("operation", ["write_some", "sync"])
+@pytest.mark.parametrize("n_good", [0, 1, 3])
+def test_after_a_failure_of_the_disk_everything_is_recorded_once(operation: str, n_good: int, tmp_path: Path) -> None:
+    left = [math.inf]
+
+    class FailingOnce(DurableFile):
+        def _count(self, name: str) -> None:
+            left[0] -= name == operation
+            if name == operation and left[0] == -1:
+                raise OSError(errno.EIO, "Input/output error")
+
+        def write_some(self, data: memoryview) -> int:
+            self._count("write_some")
+            return super().write_some(data)
+
+        def sync(self) -> None:
+            self._count("sync")
+            super().sync()
+
+    chunks = traffic(1, 300)
+    recorder = SessionRecorder(tmp_path, description(), retry_s=0.0, file_bytes=9000, open_file=FailingOnce)
+    left[0] = n_good
+    for first in range(0, 300, 150):
+        for chunk in chunks[first : first + 150]:
+            recorder.record(*chunk)
+        while recorder.counters["session.chunks_recorded"] < first + 150:
+            threading.Event().wait(0.01)
+    recorder.close()
+    assert recorder.counters == {"session.chunks_recorded": 300, "session.bytes_recorded": n_bytes(chunks)}
+    assert [notice.code for notice in recorder.take_notices()] == ["session_stopped", "session_resumed"]
+    assert recorder.queued_bytes == 0
+    assert list(session := Session(tmp_path)) == chunks
+    assert set(session.counters) <= {"session.files_unfinished", "session.bytes_torn"}
+
+
+def test_a_disk_that_is_full_from_the_start_and_then_has_room_takes_what_waits(tmp_path: Path) -> None:
+    room = threading.Event()
+    recorder = SessionRecorder(
+        tmp_path, description(), retry_s=0.01, free_bytes=lambda folder: 10**12 if room.is_set() else 0
+    )
+    assert [notice.code for notice in recorder.take_notices()] == ["session_stopped"]
+    chunks = traffic(1, 50)
+    for chunk in chunks:
+        recorder.record(*chunk)
+    room.set()
+    recorder.close()
+    assert list(Session(tmp_path)) == chunks
+    assert [notice.code for notice in recorder.take_notices()] == ["session_resumed"]
+
+
+def test_what_a_failed_disk_leaves_no_room_for_is_lost_and_marked(tmp_path: Path) -> None:
+    room = threading.Event()
+    recorder = SessionRecorder(
+        tmp_path,
+        description(),
+        retry_s=0.01,
+        queue_bytes=3000,
+        free_bytes=lambda folder: 10**12 if room.is_set() else 0,
+    )
+    chunks = traffic(1, 50)
+    for chunk in chunks:
+        recorder.record(*chunk)
+    room.set()
+    recorder.close()
+    read = list(session := Session(tmp_path))
+    assert 0 < len(read) < 50
+    assert read == chunks[: len(read)]
+    assert recorder.counters["session.chunks_lost"] == session.counters["session.chunks_lost"] == 50 - len(read)
+    assert [notice.code for notice in recorder.take_notices()] == ["session_stopped", "session_resumed"]
 
 
 def test_a_reserve_of_the_disk_is_kept(tmp_path: Path) -> None:
