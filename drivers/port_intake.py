@@ -40,7 +40,7 @@ class PortIntake:
 
     def __init__(self, config: Config) -> None:
         """Raises UsageError for ports that cannot be."""
-        ports = read_ports(config)
+        ports = read_ports(config, sends=False)
         self._utc = UtcReference(next((port for port in ports if port.unit is not None and port.unit.gives_utc), None))
         self._streams = {
             port.name: PortStream(port, config.sonar, self._utc.anchor) for port in ports if port.device != PULSE

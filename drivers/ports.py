@@ -61,13 +61,16 @@ class PortSettings(NamedTuple):
         return isinstance(self.address, CanAddress | SlcanAddress)
 
 
-def read_ports(config: Config) -> tuple[PortSettings, ...]:
+def read_ports(config: Config, *, sends: bool = True) -> tuple[PortSettings, ...]:
     """List the ports of a configuration; wires for commands are ports NAME.commands, for pulses NAME.pulse.
 
-    Raises UsageError, with the key's path, for a link or setting that its device cannot have, and for a fence that is
-    no area.
+    sends: settings that no command would carry are refused. Raises UsageError, with the key's path, for a link or
+    setting that its device cannot have, and for a fence that is no area.
     """
     Guard(config.vehicle)
+    for index, port in enumerate(config.ports):
+        if sends and port.sonar is not None and port.sonar.range_m is None:
+            _refuse_unsent(port.sonar, f"ports[{index}].sonar")
     return tuple(
         served for index, port in enumerate(config.ports) for served in _ports(port, f"ports[{index}]", config.sonar)
     )
@@ -140,6 +143,13 @@ def _port(port: PortConfig, key: str, subsystem: int | None) -> PortSettings:
         unit=unit,
         vehicle=vehicle_settings_of(port, key) if is_vehicle else None,
     )
+
+
+def _refuse_unsent(sonar: SonarPortConfig, key: str) -> None:
+    """Refuse what a person set and no command would carry."""
+    if sonar.gain is not None or not sonar.enabled:
+        what = "gain is set" if sonar.enabled else "enabled is false"
+        raise UsageError(f"{key}.{what}, but no command is sent without range_m: give the range as well")
 
 
 def _pulse(unit: PortSettings, link: str, key: str) -> PortSettings:

@@ -271,6 +271,11 @@ def test_units_on_a_bus_share_the_settings_of_its_port() -> None:
         ),
         ("link: 'tcp://10.0.0.2:1', device: sportscan", "ports[0].sonar.range_m is empty"),
         (
+            "link: 'tcp://10.0.0.2:1', device: ping_protocol, sonar: {enabled: false}",
+            "ports[0].sonar.enabled is false, but no command is sent without range_m",
+        ),
+        ("link: 'tcp://10.0.0.2:1', device: jsf, sonar: {gain: 9}", "ports[0].sonar.gain is set, but no command"),
+        (
             "link: 'tcp://10.0.0.2:1', device: sportscan, sonar: {range_m: 31}",
             "ports[0].sonar: sportscan: a range of 31 m",
         ),
@@ -283,6 +288,10 @@ def test_units_on_a_bus_share_the_settings_of_its_port() -> None:
 def test_ports_that_cannot_be_are_refused_with_the_key(port: str, message: str) -> None:
     with pytest.raises(UsageError, match=re.escape(message)):
         read_ports(config_of(f"ports: [{{name: one, {port}}}]"))
+
+
+def test_a_recording_is_replayed_whatever_its_sonar_was_not_commanded() -> None:
+    PortIntake(config_of("ports: [{name: one, link: 'tcp://10.0.0.2:1', device: jsf, sonar: {enabled: false}}]"))
 
 
 @pytest.mark.parametrize(
