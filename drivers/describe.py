@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import chain
 from struct import Struct, calcsize
 from types import MappingProxyType, ModuleType
 from typing import Any, Final, NamedTuple, get_args
@@ -17,14 +18,17 @@ from auv_mcm.settings.vehicle_settings import VEHICLE_NAMES, BluefinSettings, Iv
 from drivers.links import pulse
 from drivers.links.uri import EXAMPLES
 from drivers.navigation import dvl_pd6, dvl_water_linked, n2k_messages, nmea0183, sentences
+from drivers.navigation.sentence_fields import Codec
 from drivers.ports import PULSE, PortSettings, read_ports
 from drivers.sonar import imagenex, jsf_messages, ping_messages
 from drivers.vehicle import bluefin_sentences, can_messages, imc_codec
-from drivers.vehicle.ascii_fields import Table
+from drivers.vehicle.ascii_fields import CLASSES, CONTACT, CONTACT_FIELDS, Table
+from drivers.vehicle.dialect import ContactReport
 from drivers.vehicle.iver_sentences import table_of as iver_table
 from drivers.vehicle.recon_sentences import table_of as recon_table
 from drivers.vehicle.talkers import iver_talker as iver
 from drivers.vehicle.talkers import recon_talker as recon
+from drivers.vehicle.vehicles import VehicleSettings
 
 _EXAMPLE: Final = """\
 # Ports of a vehicle, for a configuration file. 'auv-mcm run --interface' prints what is spoken there.
@@ -118,13 +122,9 @@ def interface_text(config: Config) -> str:
             *(f"  {link}" for link in EXAMPLES),
             "",
         ]
-    devices = (
-        dict.fromkeys(port.device for port in ports)
-        if ports
-        else (*SONAR_NAMES, *get_args(NavUnitName), *VEHICLE_NAMES)
-    )
-    for device in devices:
-        lines += [*_device_lines(device), ""]
+    none = dict.fromkeys((*SONAR_NAMES, *get_args(NavUnitName), *VEHICLE_NAMES))
+    for device, settings in ({port.device: port.vehicle for port in ports} or none).items():
+        lines += [*_device_lines(device, settings), ""]
     return "\n".join(lines[:-1]) + "\n"
 
 
@@ -173,7 +173,7 @@ def _port_lines(port: PortSettings) -> list[str]:
     return [*lines, f"  out: {port.device}, {when}:", *(f"       {command.hex(' ')}" for command in port.commands)]
 
 
-def _device_lines(device: str) -> list[str]:
+def _device_lines(device: str, settings: VehicleSettings | None) -> list[str]:
     if device not in _LANGUAGES:
         return [
             f"device {device}: of another package, {find_device(device)}, whose documentation describes its messages"
@@ -181,7 +181,11 @@ def _device_lines(device: str) -> list[str]:
     language = _LANGUAGES[device]
     first, *rest = inspect.cleandoc(language.about.__doc__ or "").splitlines()
     lines = [f"device {device}: {first}", *(f"  {line}".rstrip() for line in rest)]
-    for layout in language.layouts():
+    if device in (*_TABLES, "nmea0183", "pixse"):
+        lines.append(
+            "  In brackets is how a 1 of the field's unit is written: 57.30 for 1 rad where the wire has degrees."
+        )
+    for layout in _table(device, settings) if device in _TABLES else language.layouts():
         doc = inspect.cleandoc(layout.record.__doc__ or "")
         own = "" if doc.startswith(f"{layout.record.__name__}(") else " ".join(doc.split())
         lines.append(f"  {layout.key}: {layout.record.__name__}" + (f" - {own}" if own else ""))
@@ -243,16 +247,27 @@ def _nmea0183(is_of_burst: bool) -> Iterable[MessageLayout]:
 
 
 def _sentence_fields(kind: sentences.Sentence[Any]) -> list[str]:
-    """Return a line per field: its place behind the address, name."""
+    """Return a line per field: its place behind the address, name, and what is written for the number 1."""
     at = 1 + kind.key.count(",")
     names = iter(kind.make._fields)  # type: ignore[attr-defined]  # every record is a named tuple
+    named = [("not read" if codec is None else next(names), codec) for codec in kind.codecs]
     fields = []
-    for codec in kind.codecs:
+    for name, codec in chain(*(CONTACT_FIELDS.items() if pair[1] is CONTACT else [pair] for pair in named)):
         n_fields = 1 if codec is None else codec.n_fields
         places = f"{at}" if n_fields == 1 else f"{at}-{at + n_fields - 1}"
-        fields.append(f"{places:>5} {'not read' if codec is None else next(names)}")
+        masses = f" in {', '.join(CLASSES)}" if name == "belief" else ""
+        fields.append(f"{places:>5} {name}{masses}{'' if codec is None else _one(codec)}")
         at += n_fields
     return fields
+
+
+def _one(codec: Codec) -> str:
+    """Return how the number 1 is written, in brackets, which shows the wire's unit; empty for what is no number."""
+    try:
+        texts = codec.write(1)
+    except (AttributeError, TypeError, ValueError):
+        return ""
+    return f" ({','.join(texts)})" if all(isinstance(text, str) for text in texts) else ""
 
 
 def _pd6() -> Iterable[MessageLayout]:
@@ -291,9 +306,21 @@ def _imc() -> Iterable[MessageLayout]:
         yield MessageLayout(f"message {number}", layout.kind, fields)
 
 
-def _table(table: Table, start: str) -> Iterable[MessageLayout]:
-    for kind in table.kinds:
-        yield MessageLayout(f"{start}{kind.key}", kind.make, _sentence_fields(kind))
+_TABLES: Final[Mapping[str, tuple[Callable[[Any], Table], VehicleSettings, str]]] = MappingProxyType(
+    {
+        "bluefin": (bluefin_sentences.table_of, BluefinSettings(), "$"),
+        "iver": (iver_table, IverSettings(), "$"),
+        "recon": (recon_table, ReconSettings(), "#"),
+    }
+)
+"""Of dialects of sentences, what makes their table of settings, these, and the first character."""
+
+
+def _table(device: str, settings: VehicleSettings | None) -> Iterable[MessageLayout]:
+    table_of, usual, start = _TABLES[device]
+    for kind in table_of(settings or usual).kinds:
+        record = ContactReport if CONTACT in kind.codecs else kind.make
+        yield MessageLayout(f"{start}{kind.key}", record, _sentence_fields(kind))
 
 
 def _vehicle_can() -> Iterable[MessageLayout]:
@@ -318,9 +345,9 @@ _LANGUAGES: Final[Mapping[str, _Language]] = MappingProxyType(
         "water_linked": _Language(dvl_water_linked, _water_linked),
         "nmea2000": _Language(n2k_messages, _nmea2000),
         "imc": _Language(imc_codec, _imc),
-        "bluefin": _Language(bluefin_sentences, lambda: _table(bluefin_sentences.table_of(BluefinSettings()), "$")),
-        "iver": _Language(iver, lambda: _table(iver_table(IverSettings()), "$")),
-        "recon": _Language(recon, lambda: _table(recon_table(ReconSettings()), "#")),
+        "bluefin": _Language(bluefin_sentences, lambda: ()),
+        "iver": _Language(iver, lambda: ()),
+        "recon": _Language(recon, lambda: ()),
         "vehicle_can": _Language(can_messages, _vehicle_can),
         PULSE: _Language(pulse, lambda: ()),
     }

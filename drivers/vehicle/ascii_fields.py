@@ -173,7 +173,7 @@ _BELIEF: Final = Codec(
     lambda fields: {name: _SHARE.read((field,)) for name, field in zip(CLASSES, fields, strict=True)},
     lambda belief: [_SHARE.write(belief.get(name, 0.0))[0] for name in CLASSES],
 )
-_CONTACT: Final[dict[str, Codec]] = {
+CONTACT_FIELDS: Final[dict[str, Codec]] = {
     "session": WHOLE,
     "number": WHOLE,
     "revision": WHOLE,
@@ -197,13 +197,17 @@ _CONTACT: Final[dict[str, Codec]] = {
 
 def _read_contact(fields: Sequence[str]) -> ContactReport:
     rest = iter(fields)
-    return ContactReport(**{name: codec.read(tuple(islice(rest, codec.n_fields))) for name, codec in _CONTACT.items()})
+    return ContactReport(
+        **{name: codec.read(tuple(islice(rest, codec.n_fields))) for name, codec in CONTACT_FIELDS.items()}
+    )
 
 
 CONTACT: Final = Codec(
-    sum(codec.n_fields for codec in _CONTACT.values()),
+    sum(codec.n_fields for codec in CONTACT_FIELDS.values()),
     _read_contact,
-    lambda report: list(chain.from_iterable(codec.write(getattr(report, name)) for name, codec in _CONTACT.items())),
+    lambda report: list(
+        chain.from_iterable(codec.write(getattr(report, name)) for name, codec in CONTACT_FIELDS.items())
+    ),
 )
 """Write a contact in 25 fields, for vehicles whose protocol has no sentence for one:
 

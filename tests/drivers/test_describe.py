@@ -78,6 +78,30 @@ def test_ports_are_printed_with_the_very_bytes_that_they_are_sent() -> None:
     assert "device jsf" not in text
 
 
+@pytest.mark.parametrize(
+    ("vehicle", "lines"),
+    [
+        ("device: iver", ["1 heading_rad (57.3)", "2 depth_m (1.0)", "4 speed_mps (1.9)", "9 altitude_m (3.28)"]),
+        ("device: iver, iver: {remote_helm_version: 4}", ["2 depth_m (3.3)"]),
+        ("device: iver, iver: {contact_sentence: PABC}", ["  $PABC,C: ", "5 time_s (1.000)"]),
+        ("device: bluefin", ["2 heading_rad (57.30)", "6-7 latitude_deg (0100.000000,N)", "21 length_m (1.00)"]),
+        (
+            "device: recon",
+            ["2 number (1)", "13-18 belief in cylinder, sphere, truncated_cone, wedge, clutter, unknown"],
+        ),
+    ],
+)
+def test_a_vehicles_sentences_are_printed_as_they_are_on_its_wire(vehicle: str, lines: list[str]) -> None:
+    text = interface_text(config_of(f"ports: [{{name: one, link: 'tcp://10.0.0.2:1', {vehicle}}}]"))
+    assert [line for line in lines if line not in text] == []
+    assert "report\n" not in text
+
+
+def test_a_sentence_that_is_switched_off_is_not_printed() -> None:
+    off = "ports: [{name: one, link: 'tcp://10.0.0.2:1', device: bluefin, bluefin: {contact_sentence: ''}}]"
+    assert "ContactReport" not in interface_text(config_of(off))
+
+
 def test_a_pulse_is_printed_with_its_bytes() -> None:
     text = interface_text(
         config_of(PORTS.replace("nmea0183", "nmea0183, navigation: {gives_utc: true, pulse_link: 'pps:///dev/pps0'}"))
