@@ -50,6 +50,12 @@ def test_every_module_named_by_a_page_exists(page: Path) -> None:
         assert any((place / name).exists() for place in places), f"{page.name} names {name}"
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_no_row_of_a_page_stands_outside_a_table(page: Path) -> None:
+    for table in re.findall(r"^\|.*(?:\n\|.*)*", page.read_text(), re.MULTILINE):
+        assert re.fullmatch(r"\|[-|: ]+\|", "".join(table.splitlines()[1:2])), f"{page.name}: {table}"
+
+
 def test_the_readme_shows_before_it_lists_and_is_short() -> None:
     text = (ROOT / "README.md").read_text("utf-8")
     assert len(text.splitlines()) <= 60
