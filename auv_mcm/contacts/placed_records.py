@@ -50,6 +50,10 @@ class PlacedRecords(Generic[T]):
                     self._starts[number] = _UNKNOWN
                     self._in_memory.pop(number, None)
 
+    def __len__(self) -> int:
+        """Count the numbers up to the highest known."""
+        return len(self._starts)
+
     def numbers(self) -> NDArray[np.int64]:
         """List the numbers known, ascending: (n,)."""
         return np.flatnonzero(np.array(self._starts) != _UNKNOWN)

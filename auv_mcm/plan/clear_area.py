@@ -67,12 +67,19 @@ def floor_ahead(ground: Clearance) -> Clearance:
     return msgspec.structs.replace(ground, **layers)
 
 
+class _Known(NamedTuple):
+    """Hold the miss exponents of the cells of the area's box, and the plane that they lie in."""
+
+    plane: LocalFrame
+    exponent: NDArray[np.float64]
+
+
 class _Flown(NamedTuple):
-    """Hold a survey leg that was flown. until_s: mission time of its end. before: the clearance known before it."""
+    """Hold a survey leg that was flown. until_s: mission time of its end. before: as known before it."""
 
     ends_deg: Run
     until_s: float
-    before: Clearance | None
+    before: _Known | None
 
 
 class ClearArea:
@@ -88,7 +95,7 @@ class ClearArea:
         self._now_s = -math.inf
         self._shown_until_s: dict[Side, float] = {}
         self._pending: list[_Flown] = []
-        self._known: Clearance | None = None  # at the last request; none is made on a leg
+        self._known: _Known | None = None  # at the last request; none is made on a leg
         self._plane: LocalFrame | None = None
         self._vain = np.zeros((0, 0), dtype=np.uint8)  # passes, per cell of the area's box
         self._previous: Plan | None = None
@@ -134,7 +141,7 @@ class ClearArea:
             )
         limits = self._limits(area.frame, request)
         self._learn_of(area, request, limits)
-        self._known = clearance
+        self._known = _Known(area.frame, area.ground.exponent)
         ground = self._expected(floor_ahead(area.ground), limits)
         is_enough = area_state(area._replace(ground=ground), plan.required_clearance).is_reached
         wanted = area.cells & (self._vain < MAX_VAIN_PASSES) & (not is_enough)
@@ -197,8 +204,8 @@ class ClearArea:
 
     def _judge(self, leg: _Flown, area: Area, limits: Limits) -> None:
         """Count the cells that a leg passed in vain."""
-        before = over_area(leg.before, self._config.plan.area_deg, area.ground.cell_m).ground
-        was = before.exponent if frame_of(before) == area.frame else np.zeros(area.cells.shape)
+        before, nothing = leg.before, np.zeros(area.cells.shape)
+        was = before.exponent if before is not None and before.plane == area.frame else nothing
         promised = self._with_look(area.ground, leg, limits, was) - was
         seen = promised > 0.0
         vain = area.ground.exponent - was < _VAIN * promised

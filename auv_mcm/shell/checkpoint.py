@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 from auv_mcm.safe_files import replacing, sync_directory
 
 CHECKPOINT_S: Final = 10.0
-"""s between two checkpoints after tiles, minimum: bounds what is written, 4 to 9 MB each time, and what is replayed."""
+"""s between two checkpoints after tiles, minimum: bounds what is written, at most 10 MB each, and what is replayed."""
 _MAGIC: Final = b"auv-mcm checkpoint 1\n"
 _CHECKSUM_BYTES: Final = 4  # of a CRC-32
 _PATTERN: Final = "checkpoint-????????????.bin"

@@ -21,6 +21,7 @@ from auv_mcm.contacts.contact import best_view
 from auv_mcm.contacts.contact_store import ContactStore
 from auv_mcm.contacts.coverage_store import CoverageStore, StoredPatch, store_patch
 from auv_mcm.contacts.operating_point import OperatingPoint
+from auv_mcm.contacts.placed_records import PlacedRecords, Selection
 from auv_mcm.contacts.record_file import RecordFile
 from auv_mcm.frozen_state import StateError, freeze, thaw
 from auv_mcm.plan.look_again import PlanRequest, Proposal
@@ -111,6 +112,8 @@ class PerceptionChain:
         self._performance = configured_performance(config)
         self.pipeline = make_pipeline(config, self._store)
         self._searched = ClearanceMap(self._performance, config.plan.area_deg)
+        # What the map is made of. It lies in the file: in checkpoints, most of them would be it after some hours.
+        self._seen = PlacedRecords(records, CoveragePatch)
         self._area = _clear_area(config, self._performance)
         self._coverage = CoverageStore(records)
         self._tally = Tally()
@@ -182,6 +185,8 @@ class PerceptionChain:
         patches = [event for event in events if isinstance(event, CoveragePatch)]
         for patch in patches:
             self._searched.add(patch)
+            cells = msgspec.structs.replace(patch, rings_deg=(), lost_m2={})
+            self._seen.keep(len(self._seen), self._records.append(cells) or cells)
             if self._area is not None:
                 self._area.add(patch)
         contacts = [event for event in events if isinstance(event, Contact)]  # which are in the store already
@@ -209,7 +214,7 @@ class PerceptionChain:
                 "kind": self._keeping.kind,
                 "records_end": self._records.end,
                 "pipeline": self.pipeline.state(),
-                "searched": self._searched,
+                "seen": self._seen.state(),
                 "area": self._area,
                 "contacts": self._store.state(),
                 "coverage": self._coverage.state(),
@@ -235,7 +240,10 @@ class PerceptionChain:
                 if state["kind"] != self._keeping.kind or state["records_end"] > self._records.end:
                     continue
                 self.pipeline.restore(state["pipeline"])
-                self._searched, self._area = state["searched"], state["area"]
+                self._area = state["area"]
+                self._seen.restore(state["seen"])
+                for patch in Selection(self._seen.__getitem__, range(len(self._seen))):
+                    self._searched.add(patch)
                 self._store.restore(state["contacts"])
                 self._coverage.restore(state["coverage"])
                 self._tally.restore(state["tally"])
