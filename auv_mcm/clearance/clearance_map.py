@@ -27,6 +27,7 @@ _SAME_LOOK_RAD: Final = math.radians(15.0)
 # s between patches of one pass, either way: tiles of both sides overlap in time; chosen, not measured
 _SAME_PASS_S: Final = 60.0
 _ROUNDING_RAD: Final = 1e-6  # rad: look angles at the border count alike whatever the rounding
+_AT_ONCE: Final = 1 << 18  # looks added up at once, bounds memory
 _KEY: Final = 1 << 32  # packs a cell's east and north index, 32 bits each, into one integer
 # of a laid-out map: 8.2 km square at cells of 4 m, about 230 MB while it is drawn and written
 _MAX_BOX_CELLS: Final = 1 << 22
@@ -202,16 +203,30 @@ class ClearanceMap:
 
     def _added_up(self, exponent: Array, look_rad: Array, first: NDArray[np.intp], n_looks: NDArray[np.intp]) -> Array:
         """Add up, per cell, the exponents of its views, each reduced by what earlier views have in common with it."""
+        total = np.zeros(len(first))
+        order = np.argsort(n_looks, kind="stable")
+        start = 0
+        while start < len(order):  # cells of about as many looks: one that all legs pass must not widen all others
+            ahead = n_looks[order[start : start + _AT_ONCE]]
+            fits = ahead * np.arange(1, len(ahead) + 1) <= _AT_ONCE
+            cells = order[start : start + max(int(np.count_nonzero(fits)), 1)]
+            total[cells] = self._added_up_alike(exponent, look_rad, first[cells], n_looks[cells])
+            start += len(cells)
+        return total
+
+    def _added_up_alike(
+        self, exponent: Array, look_rad: Array, first: NDArray[np.intp], n_looks: NDArray[np.intp]
+    ) -> Array:
         max_looks = int(n_looks.max())
         column = np.arange(max_looks)
         there = column < n_looks[:, np.newaxis]
         row = np.where(there, first[:, np.newaxis] + column, 0)
-        direction = np.where(there, look_rad[row], np.nan)
+        direction = np.where(there, np.mod(look_rad[row], 2.0 * np.pi), np.nan)
         total = np.zeros(len(first))
         same, other = 1.0 - self._model.same_look_correlation, 1.0 - self._model.other_look_correlation
         for k in range(max_looks):
-            apart = np.abs(np.mod(direction[:, :k] - direction[:, k : k + 1] + np.pi, 2.0 * np.pi) - np.pi)
-            again = (apart <= _SAME_LOOK_RAD + _ROUNDING_RAD).any(axis=1)
+            apart = np.abs(direction[:, :k] - direction[:, k : k + 1])
+            again = (np.minimum(apart, 2.0 * np.pi - apart) <= _SAME_LOOK_RAD + _ROUNDING_RAD).any(axis=1)
             weight = np.where(again, same, other if k else 1.0)
             total += np.where(there[:, k], weight * exponent[row[:, k]], 0.0)
         return total

@@ -271,6 +271,22 @@ def test_cells_seen_far_from_the_others_are_not_laid_out_but_counted() -> None:
     assert alone.n_elsewhere == 0
 
 
+def test_a_place_that_is_passed_very_often_costs_no_memory_for_all_others() -> None:
+    """The way to the area, or the place of recovery: 120 passes over one cell beside 30,000 seen once."""
+    home = [patch(Reported(100.0 * k, "port", 7.0 * k, [(0, 0, 1.0, 40.0)])) for k in range(120)]
+    wide = patch(
+        Reported(40_000.0, "port", 0.0, [(east, north, 1.0, 10.0) for east in range(1, 151) for north in range(200)])
+    )
+    tracemalloc.start()
+    try:
+        reported = snapshot(*home, wide)
+        _, peak_bytes = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak_bytes < 60e6
+    assert p_at(reported, 0, 0) == p_at(snapshot(*home), 0, 0) > 0.98
+
+
 def test_two_sites_that_fit_into_one_map_are_both_laid_out() -> None:
     reported = snapshot(
         patch(Reported(0.0, "port", 0.0, [(0, 0, 1.0, 10.0)])),
