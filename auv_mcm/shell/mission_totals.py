@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_left, insort
 from collections import Counter
 from collections.abc import Iterable
 from typing import Any
@@ -39,13 +40,21 @@ def contact_totals(contacts: Iterable[Contact], coverage: Iterable[CoveragePatch
 
 def _of_one_squint(coverage: Iterable[CoveragePatch]) -> Iterable[CoveragePatch]:
     """Leave out patches whose side was looked at during their time by another squint already."""
-    seen: dict[str, dict[float, list[tuple[float, float]]]] = {}
+    seen: dict[str, dict[float, list[tuple[float, float]]]] = {}  # start and stop by side and squint, by time
+    longest_s = 0.0
     for patch in coverage:
-        by_squint = seen.setdefault(patch.side, {})
-        before = [times for squint, spans in by_squint.items() if squint != patch.squint_rad for times in spans]
-        if not any(start_s < patch.stop_s and patch.start_s < stop_s for start_s, stop_s in before):
-            by_squint.setdefault(patch.squint_rad, []).append((patch.start_s, patch.stop_s))
-            yield patch
+        by_squint, start_s, stop_s = seen.setdefault(patch.side, {}), patch.start_s, patch.stop_s
+        before = (
+            spans[bisect_left(spans, (start_s - longest_s,)) : bisect_left(spans, (stop_s,))]
+            for squint, spans in by_squint.items()
+            if squint != patch.squint_rad
+        )
+        if any(other_s < stop_s and start_s < until_s for spans in before for other_s, until_s in spans):
+            continue
+        if start_s <= stop_s:
+            insort(by_squint.setdefault(patch.squint_rad, []), (start_s, stop_s))
+            longest_s = max(longest_s, stop_s - start_s)
+        yield patch
 
 
 def point_totals(point: OperatingPoint | None) -> dict[str, Any]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from msgspec import structs
@@ -49,6 +51,35 @@ def test_sub_apertures_of_one_pass_cover_its_floor_once() -> None:
     again = structs.replace(parts[0], side="port" if parts[0].side == "starboard" else "starboard")
     assert contact_totals([], [*parts, later, again])["covered_km2"] == pytest.approx(0.004)
     assert contact_totals([], [parts[0], parts[0]])["covered_km2"] == pytest.approx(0.002), "passed twice"
+
+
+class Counted(float):
+    """A time that counts how often it is compared."""
+
+    n_compared = 0
+
+    def __lt__(self, other: float) -> bool:
+        Counted.n_compared += 1
+        return float(self) < float(other)
+
+    def __gt__(self, other: float) -> bool:
+        Counted.n_compared += 1
+        return float(self) > float(other)
+
+
+def test_a_mission_twice_as_long_takes_twice_as_long_to_sum_up() -> None:
+    def n_compared(n_tiles: int) -> int:
+        Counted.n_compared = 0
+        one, times_s = patch(None, covered_m2=1000.0), [Counted(10.0 * tile) for tile in range(n_tiles + 1)]
+        parts = [
+            structs.replace(one, start_s=start_s, stop_s=stop_s, squint_rad=squint_rad)
+            for start_s, stop_s in pairwise(times_s)
+            for squint_rad in (-0.03, 0.0, 0.03)
+        ]
+        assert contact_totals([], parts)["covered_km2"] == pytest.approx(0.001 * n_tiles)
+        return Counted.n_compared
+
+    assert n_compared(400) < 2.5 * n_compared(200)
 
 
 def test_what_was_searched_too_far_off_for_the_map_is_summed_up_and_reported() -> None:
