@@ -13,7 +13,7 @@ from auv_mcm.safe_files import replacing, sync_directory
 
 CHECKPOINT_S: Final = 10.0
 """s between two checkpoints after tiles, minimum: bounds what is written, at most 10 MB each, and what is replayed."""
-_MAGIC: Final = b"auv-mcm checkpoint 1\n"
+_MAGIC: Final = b"auv-mcm checkpoint 2\n"
 _CHECKSUM_BYTES: Final = 4  # of a CRC-32
 _PATTERN: Final = "checkpoint-????????????.bin"
 _N_KEPT: Final = 2  # the one before serves where the newest is damaged
