@@ -14,6 +14,7 @@ PLAN_ID: Final = "auv_mcm"
 
 VEHICLE_TYPES: Final = frozenset({2, 3})  # Announce.sys_type: under water, on the surface
 _ANOTHER_AFTER_S: Final = 60.0  # s of silence of a vehicle that is not named, until another takes its place; chosen
+_PLANS_VALID_S: Final = 3.0  # s that a report of plans counts; they come every second
 _ABORTS_S: Final = 2.0  # s after an Abort in which a report may still be of the plan that it ends
 _FAILURE: Final = 2  # PlanControlState.last_outcome: not ended by itself
 _IDLE: Final = "the vehicle flies no plan"
@@ -39,7 +40,7 @@ class FollowedVehicle:
 
     def restart(self) -> None:
         """Forget whom to follow, as on a wire that was opened again."""
-        self.number, self._heard_s = self._named, -math.inf
+        self.number, self._heard_s, self._plans_s = self._named, -math.inf, -math.inf
 
     def hear(self, source: int, message: ImcMessage, now_s: float, to: int = ANYONE) -> None:
         """Take a message of any source but the payload. to: whom it is addressed to."""
@@ -61,6 +62,7 @@ class FollowedVehicle:
             self._flies_ours = False
         if not isinstance(message, imc.PlanControlState):
             return
+        self._plans_s = now_s
         if message.state in (PlanState.BLOCKED, PlanState.READY):
             flew_ours = self._flies_ours and not self.is_left
             if (flew_ours or self._flies_own) and message.last_outcome == _FAILURE:
@@ -85,16 +87,21 @@ class FollowedVehicle:
             self._plan_before = plan_id
         self._flew, self._flies_ours, self._flies_own = True, False, True
 
-    @property
-    def may_be_asked(self) -> bool:
-        """Check whether a vehicle is known that may be asked for control."""
-        return self.number is not None and not self.why_not
+    def may_be_asked(self, now_s: float) -> bool:
+        """Check whether a vehicle is known that may be asked for control, by what it reported just now."""
+        return self.number is not None and not self.why_not(math.inf, now_s) and self._plans_are_known(now_s)
 
-    @property
-    def why_not(self) -> str:
-        """Say why the vehicle is not asked for control, "" where it may be."""
-        again = f"control is requested once it flies {'another' if self._sent_on else 'a plan of its own'}"
-        return self.doubt or (f"{self._withheld}: {again}" if self._withheld else "")
+    def why_not(self, due_s: float, now_s: float) -> str:
+        """Say why the vehicle is not asked for control, "" where it may be. due_s: when it was to be asked."""
+        if self.doubt or self._withheld:
+            again = f"control is requested once it flies {'another' if self._sent_on else 'a plan of its own'}"
+            return self.doubt or f"{self._withheld}: {again}"
+        is_silent = self.number is not None and now_s - due_s > _PLANS_VALID_S and not self._plans_are_known(now_s)
+        return "the vehicle does not report its plans (PlanControlState)" if is_silent else ""
+
+    def _plans_are_known(self, now_s: float) -> bool:
+        """Check for a report on this wire; an older one does not show that a person has stopped the vehicle since."""
+        return now_s - self._plans_s <= _PLANS_VALID_S
 
     @property
     def doubt(self) -> str:

@@ -188,7 +188,7 @@ class ImcTalker:
         self._request_id = self._request_id % 0xFFFF + 1
         self._n_starts = 0
         self._vehicle.is_left = False
-        self._start_due_s = now_s
+        self._start_due_s = now_s if self._settings.own_plan else math.inf
         self._succeeded = not self._settings.own_plan
         if self._settings.own_plan:
             self._followed_s = None
@@ -261,7 +261,7 @@ class ImcTalker:
         return [command_in(packet, self._settings.control_timeout_s) for packet in outgoing]
 
     def _start_is_due(self, now_s: float) -> bool:
-        wanted = self._stage == "requested" and self._settings.own_plan and self._vehicle.may_be_asked
+        wanted = self._stage == "requested" and self._vehicle.may_be_asked(now_s)
         return wanted and self._n_starts < _MAX_STARTS and now_s >= self._start_due_s
 
     def _start(self) -> imc.PlanControl:
@@ -493,8 +493,8 @@ class ImcTalker:
         return [Acknowledged(pending.ticket) if message.taken else Rejected(pending.ticket, message.reason)]
 
     def _overdue(self, now_s: float) -> list[VehicleEvent]:
-        if self._vehicle.why_not and self._stage == "requested":
-            return self._withheld(self._vehicle.why_not)
+        if self._stage == "requested" and (why_not := self._vehicle.why_not(self._start_due_s, now_s)):
+            return self._withheld(why_not)
         if self._unanswered_s is not None and now_s - self._unanswered_s > self._settings.control_timeout_s:
             return self._withheld("the vehicle does not answer our references")
         return []

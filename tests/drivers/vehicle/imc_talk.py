@@ -12,7 +12,7 @@ from drivers.vehicle import imc_messages as imc
 from drivers.vehicle.decoders.imc_followed import PLAN_ID
 from drivers.vehicle.dialect import GoTo, Granted, VehicleEvent, Vertical
 from drivers.vehicle.imc_codec import decode
-from drivers.vehicle.imc_messages import ImcMessage, PlanOp, PlanType, Proximity, RefFlag, RefState
+from drivers.vehicle.imc_messages import ImcMessage, PlanOp, PlanState, PlanType, Proximity, RefFlag, RefState
 from drivers.vehicle.imc_wire import ANYONE, ImcGrammar, ImcPacket, packed
 from tests.sim_replay.conversation import Conversation
 
@@ -24,16 +24,25 @@ LEARNS, KNOWS, INVITED = (
     ImcSettings(vehicle_id=VEHICLE, acknowledges=True),
     ImcSettings(vehicle_id=VEHICLE, own_plan=False),
 )
+SURVEY = imc.PlanControlState(PlanState.EXECUTING, "survey")
 
 
 class Talk:
-    """Run a dialect whose wire is open, and collect its messages."""
+    """Run a dialect whose wire is open, and collect its messages.
 
-    def __init__(self, settings: ImcSettings = KNOWS, now_s: float = 100.0) -> None:
+    plans: what the vehicle reports of its plans at first; it reports the same again before it is asked.
+    """
+
+    def __init__(
+        self, settings: ImcSettings = KNOWS, now_s: float = 100.0, plans: imc.PlanControlState = SURVEY
+    ) -> None:
         self.dialect = Conversation(settings)
         self.now_s = now_s
+        self.plans = plans
         self.dialect.connected(now_s)
         self.sent()
+        if settings.vehicle_id:
+            self.hear(plans)
 
     def packets(self) -> list[ImcPacket]:
         framer = Framer(ImcGrammar())
@@ -55,12 +64,15 @@ class Talk:
         self, *messages: ImcMessage, source: int = VEHICLE, to: int = ANYONE, age_s: float = 0.0
     ) -> list[VehicleEvent]:
         """age_s: of their times, by the sender's clock, which is an hour off."""
+        if source == VEHICLE:
+            self.plans = next((each for each in messages[::-1] if isinstance(each, imc.PlanControlState)), self.plans)
         time_s = UTC_S + 3600.0 + self.now_s - age_s
         data = b"".join(packed(message, source, to=to, time_s=time_s) for message in messages)
         return self.dialect.hear(data, stamp_at(self.now_s))
 
     def take_over(self) -> int:
         """Until the grant; returns the number of the request."""
+        self.hear(self.plans)
         self.dialect.request(self.now_s)
         (start,) = self.sent_of(imc.PlanControl)
         assert self.hear(succeeded(start.request_id)) == []

@@ -57,6 +57,10 @@ while True:
         state = imcpy.EstimatedState()
         state.lat, state.lon, state.x, state.y, state.depth, state.alt = 0.7188, -0.152, 10.0, 20.0, 12.0, 5.0
         say(state, 0xFFFF, host)
+        plans = imcpy.PlanControlState()
+        plans.state, plans.plan_id = 3, "survey"
+        if not taken:
+            say(plans, 0xFFFF, host)
     elif name == "PlanControl":
         follow = message.arg.maneuvers[0].data
         taken.append([name, message.type, message.op, message.plan_id, follow.control_src, follow.timeout])

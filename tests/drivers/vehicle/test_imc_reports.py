@@ -101,9 +101,10 @@ def test_a_position_that_cannot_be_is_none(others: dict[str, float]) -> None:
 def test_the_first_vehicle_is_the_vehicle(first: ImcMessage) -> None:
     talk = Talk(LEARNS)
     talk.dialect.request(talk.now_s)
-    assert talk.sent_of(imc.PlanControl, 3.0) == [], "nobody knows yet whom to ask"
+    assert talk.sent_of(imc.PlanControl, 1.0) == [], "nobody knows yet whom to ask"
     talk.hear(imc.Announce("console", 0), source=OTHER)
     talk.hear(first)
+    talk.now_s += 1.0
     assert {packet.destination for packet in talk.packets()} == {VEHICLE}
     (doubted, refused) = talk.hear(imc.Announce("another", 2), estimated(42.0, -8.0), source=OTHER)
     assert isinstance(doubted, Doubted)
@@ -119,7 +120,7 @@ def test_a_doubt_names_a_few_vehicles_however_many_announce_themselves() -> None
     followed = FollowedVehicle(0)
     for source in range(1, 5000):
         followed.hear(source, imc.Announce("any", 2), 0.0)
-    assert not followed.may_be_asked
+    assert not followed.may_be_asked(0.0)
     assert len(followed.doubt) < 300
 
 

@@ -9,7 +9,7 @@ from drivers.vehicle.decoders.imc_followed import PLAN_ID
 from drivers.vehicle.dialect import Withheld
 from drivers.vehicle.imc_messages import OpMode, PlanState, RefState
 from drivers.vehicle.imc_wire import ANYONE
-from tests.drivers.vehicle.imc_talk import OTHER, US, VEHICLE, Talk, follow_state
+from tests.drivers.vehicle.imc_talk import OTHER, SURVEY, US, VEHICLE, Talk, follow_state
 
 OURS = imc.PlanControlState(PlanState.EXECUTING, PLAN_ID)
 
@@ -25,16 +25,14 @@ def assert_not_asked(talk: Talk, why: str, *heard: imc.ImcMessage) -> None:
 
 @pytest.mark.parametrize("to", [VEHICLE, ANYONE])
 def test_after_an_abort_nothing_is_started_until_the_vehicle_flies_a_plan_of_its_own(to: int) -> None:
-    survey = imc.PlanControlState(PlanState.EXECUTING, "survey")
     talk = Talk()
-    talk.hear(survey)
     talk.hear(imc.Abort(), source=OTHER, to=to)
-    assert talk.hear(survey) == [], "of before"
+    assert talk.hear(SURVEY) == [], "of before"
     for _ in range(2):
         talk.now_s += 61.0
         idle = imc.PlanControlState(PlanState.READY), imc.VehicleState(OpMode.SERVICE)
         assert_not_asked(talk, "an Abort came", *idle)
-    talk.hear(survey)
+    talk.hear(SURVEY)
     talk.take_over()
 
 
@@ -47,34 +45,30 @@ def test_a_plan_stopped_on_board_is_started_again_only_after_a_plan_of_the_vehic
     assert [type(event) for event in talk.hear(imc.VehicleState(OpMode.SERVICE), stopped)] == [Withheld]
     talk.now_s += 61.0
     assert_not_asked(talk, "was stopped on board", stopped)
-    talk.hear(imc.PlanControlState(PlanState.EXECUTING, "survey"))
+    talk.hear(SURVEY)
     talk.take_over()
 
 
 def test_a_plan_of_the_vehicles_own_stopped_on_board_is_not_followed_by_the_payloads() -> None:
-    survey = imc.PlanControlState(PlanState.EXECUTING, "survey")
     talk = Talk()
-    talk.hear(survey)
     stopped = imc.PlanControlState(PlanState.READY, "survey", last_outcome=2)
     talk.hear(imc.VehicleState(OpMode.SERVICE), stopped)
     for _ in range(2):
         talk.now_s += 61.0
         assert_not_asked(talk, "was stopped on board", stopped)
-    talk.hear(survey)
+    talk.hear(SURVEY)
     talk.take_over()
 
 
 def test_a_plan_of_the_vehicles_own_that_is_done_may_be_followed_by_the_payloads() -> None:
     talk = Talk()
-    talk.hear(imc.PlanControlState(PlanState.EXECUTING, "survey"))
     talk.hear(imc.PlanControlState(PlanState.READY, "survey", last_outcome=1))
     talk.take_over()
 
 
 def test_a_vehicle_sent_on_another_plan_is_left_alone_until_it_flies_a_further_one() -> None:
-    survey, home = (imc.PlanControlState(PlanState.EXECUTING, plan) for plan in ("survey", "home"))
+    home = imc.PlanControlState(PlanState.EXECUTING, "home")
     talk = Talk()
-    talk.hear(survey)
     talk.take_over()
     talk.hear(OURS)
     talk.now_s += 3.0
@@ -82,11 +76,11 @@ def test_a_vehicle_sent_on_another_plan_is_left_alone_until_it_flies_a_further_o
     for state in (home, imc.PlanControlState(PlanState.READY, "home", last_outcome=1)):
         talk.now_s += 61.0
         assert_not_asked(talk, "was sent on plan home instead", state)
-    talk.hear(survey)
+    talk.hear(SURVEY)
     talk.take_over()
     talk.hear(OURS)
     talk.now_s += 3.0
-    assert [type(event) for event in talk.hear(survey)] == [Withheld], "but it goes on with the plan of before"
+    assert [type(event) for event in talk.hear(SURVEY)] == [Withheld], "but it goes on with the plan of before"
     talk.now_s += 61.0
     talk.take_over()
 
@@ -107,13 +101,13 @@ def test_a_plan_that_the_payload_ended_may_be_followed_by_another(how: str) -> N
 
 
 def test_a_vehicle_that_has_flown_no_plan_yet_is_not_started() -> None:
-    talk = Talk()
     idle = imc.PlanControlState(PlanState.READY)
-    talk.hear(idle)
+    talk = Talk(plans=idle)
     assert_not_asked(talk, "flies no plan", idle)
     talk.hear(OURS)  # of an earlier run of the payload
     talk.sent()  # which stops it
     talk.now_s += 61.0
+    talk.hear(imc.PlanControlState(PlanState.READY, PLAN_ID, last_outcome=2))
     talk.take_over()
 
 
@@ -122,3 +116,27 @@ def test_an_abort_of_another_vehicle_leaves_ours_to_be_asked() -> None:
     talk.hear(imc.Abort(), source=US + 1, to=OTHER)
     talk.now_s += 61.0
     talk.take_over()
+
+
+@pytest.mark.parametrize("lost", ["wire", "messages"])
+def test_after_a_gap_nothing_is_started_until_the_vehicle_says_what_it_flies_now(lost: str) -> None:
+    talk = Talk()
+    if lost == "wire":
+        talk.dialect.disconnected()
+        talk.dialect.connected(talk.now_s)
+    talk.now_s += 0.5 if lost == "wire" else 6.0
+    talk.hear(imc.Announce("auv", 2))
+    talk.dialect.request(talk.now_s)
+    assert talk.sent_of(imc.PlanControl, 1.0) == [], "a person may have stopped it meanwhile"
+    talk.hear(SURVEY)
+    assert len(talk.sent_of(imc.PlanControl)) == 1
+
+
+def test_a_vehicle_that_does_not_report_its_plans_is_not_started_and_the_request_says_so() -> None:
+    talk = Talk()
+    talk.now_s += 6.0
+    talk.dialect.request(talk.now_s)
+    assert talk.sent_of(imc.PlanControl, 3.5) == []
+    (event,) = talk.hear(imc.Announce("auv", 2))
+    assert isinstance(event, Withheld)
+    assert "PlanControlState" in event.reason

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from auv_mcm.records import NAN
 from auv_mcm.settings.vehicle_settings import ImcSettings
-from drivers.framing import Framer
 from drivers.vehicle import imc_messages as imc
 from drivers.vehicle.decoders.imc_followed import PLAN_ID
 from drivers.vehicle.dialect import Doubted, Granted, PlaceReached, Steer, VehicleEvent, Withheld
@@ -27,7 +26,7 @@ from drivers.vehicle.imc_messages import (
     RefState,
     ZUnits,
 )
-from drivers.vehicle.imc_wire import ImcGrammar, ImcPacket, to_wire
+from drivers.vehicle.imc_wire import ImcPacket, to_wire
 from drivers.vehicle.vehicles import talker_of
 from tests.drivers.vehicle.imc_talk import (
     GOAL,
@@ -140,7 +139,10 @@ def test_the_answer_of_dune_with_the_statistics_of_the_plan_counts() -> None:
 def test_a_request_is_sent_again_but_not_for_ever() -> None:
     talk = Talk()
     talk.dialect.request(talk.now_s)
-    starts = talk.sent_of(imc.PlanControl, 20.0)
+    starts = []
+    for _ in range(20):
+        talk.hear(talk.plans)
+        starts += talk.sent_of(imc.PlanControl, 1.0)
     assert len(starts) == 3
     assert {start.request_id for start in starts} == {1}
 
@@ -248,7 +250,7 @@ def test_a_request_can_be_withdrawn() -> None:
     assert talk.sent_of(imc.PlanControl, 5.0) == [], (
         "the vehicle may never have heard of it, and STOP would stop its own"
     )
-    assert talk.hear(succeeded(1), follow_state()) == []
+    assert talk.hear(succeeded(1), follow_state(), talk.plans) == []
     talk.dialect.request(talk.now_s)
     talk.hear(succeeded(2))
     assert [control.op for control in talk.sent_of(imc.PlanControl)] == [PlanOp.START]
@@ -433,14 +435,13 @@ def test_what_ends_control_is_believed_however_old_it_is() -> None:
 
 @pytest.mark.parametrize("drawn", [0, 41, 0xFFFE])
 def test_the_first_request_of_a_run_has_a_number_that_nobody_can_foresee(drawn: int) -> None:
-    talker = talker_of("imc", KNOWS, lambda n: drawn if n == 0xFFFF else n)
-    talker.connected(0.0)
+    talk = Talk()
+    talk.dialect.talker = talker_of("imc", KNOWS, lambda n: drawn if n == 0xFFFF else n)
+    talk.dialect.connected(talk.now_s)
+    talk.hear(talk.plans)
     numbers = []
-    for now_s in (0.0, 10.0):
-        talker.request(now_s)
-        framer = Framer(ImcGrammar())
-        packets = [framed.message for item in talker.take_outgoing(now_s) for framed in framer.feed(item)]
-        starts = [decode(packet.number, packet.payload) for packet in packets]
-        numbers += [start.request_id for start in starts if isinstance(start, imc.PlanControl)]
-        talker.release("done", now_s)
+    for _ in range(2):
+        talk.dialect.request(talk.now_s)
+        numbers += [start.request_id for start in talk.sent_of(imc.PlanControl)]
+        talk.dialect.release("done", talk.now_s)
     assert numbers == [drawn + 1, (drawn + 1) % 0xFFFF + 1]
