@@ -6,7 +6,7 @@ import math
 from typing import Final
 
 from drivers.vehicle import imc_messages as imc
-from drivers.vehicle.imc_messages import ImcMessage, PlanState, RefState
+from drivers.vehicle.imc_messages import ImcMessage, OpMode, PlanState, RefState
 from drivers.vehicle.imc_wire import ANYONE
 
 PLAN_ID: Final = "auv_mcm"
@@ -16,7 +16,7 @@ VEHICLE_TYPES: Final = frozenset({2, 3})  # Announce.sys_type: under water, on t
 _ANOTHER_AFTER_S: Final = 60.0  # s of silence of a vehicle that is not named, until another takes its place; chosen
 _PLANS_VALID_S: Final = 3.0  # s that a report of plans counts; they come every second
 _ABORTS_S: Final = 2.0  # s after an Abort in which a report may still be of the plan that it ends
-_FAILURE: Final = 2  # PlanControlState.last_outcome: not ended by itself
+_SUCCESS: Final = 1  # PlanControlState.last_outcome: ended by itself
 _IDLE: Final = "the vehicle flies no plan"
 _MAX_HEARD: Final = 4  # vehicles named in a doubt: two suffice for it, and anybody may send thousands
 
@@ -60,13 +60,19 @@ class FollowedVehicle:
         """Find out whether the vehicle may be started: it flies, or is idle since the payload's own plan."""
         if isinstance(message, imc.FollowRefState) and message.state == RefState.TIMEOUT:
             self._flies_ours = False
+        if isinstance(message, imc.VehicleState) and message.op_mode == OpMode.EXTERNAL:
+            self._withheld = "the vehicle was under external control"
+        elif isinstance(message, imc.VehicleState) and message.op_mode == OpMode.BOOT:
+            self._flew = False
         if not isinstance(message, imc.PlanControlState):
             return
         self._plans_s = now_s
-        if message.state in (PlanState.BLOCKED, PlanState.READY):
+        if message.state not in (PlanState.INITIALIZING, PlanState.EXECUTING):
             flew_ours = self._flies_ours and not self.is_left
-            if (flew_ours or self._flies_own) and message.last_outcome == _FAILURE:
-                self._withheld = f"the {'payload' if flew_ours else 'vehicle'}'s plan was stopped on board"
+            is_done = message.state == PlanState.READY and message.last_outcome == _SUCCESS
+            if (flew_ours or self._flies_own) and not is_done:
+                whose = "payload" if flew_ours else "vehicle"
+                self._withheld = self._withheld or f"the {whose}'s plan was stopped on board"
             elif not self._flew:
                 self._withheld = self._withheld or _IDLE
             self._flies_ours = self._flies_own = False

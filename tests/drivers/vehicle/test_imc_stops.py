@@ -49,13 +49,41 @@ def test_a_plan_stopped_on_board_is_started_again_only_after_a_plan_of_the_vehic
     talk.take_over()
 
 
-def test_a_plan_of_the_vehicles_own_stopped_on_board_is_not_followed_by_the_payloads() -> None:
+@pytest.mark.parametrize(
+    "stopped",
+    [
+        imc.PlanControlState(PlanState.READY, "survey", last_outcome=2),
+        imc.PlanControlState(PlanState.READY, "survey"),  # older DUNE states no outcome of what was stopped
+        imc.PlanControlState(PlanState.BLOCKED, "survey", last_outcome=1),  # of the plan before
+        imc.PlanControlState(4, "survey", last_outcome=1),  # paused
+    ],
+)
+def test_a_plan_of_the_vehicles_own_stopped_on_board_is_not_followed_by_the_payloads(
+    stopped: imc.PlanControlState,
+) -> None:
     talk = Talk()
-    stopped = imc.PlanControlState(PlanState.READY, "survey", last_outcome=2)
     talk.hear(imc.VehicleState(OpMode.SERVICE), stopped)
     for _ in range(2):
         talk.now_s += 61.0
         assert_not_asked(talk, "was stopped on board", stopped)
+    talk.hear(SURVEY)
+    talk.take_over()
+
+
+@pytest.mark.parametrize(("mode", "why"), [(OpMode.EXTERNAL, "external control"), (OpMode.BOOT, "flies no plan")])
+def test_a_vehicle_that_idles_since_the_payloads_plan_is_not_started_once_it_was_steered_or_restarted(
+    mode: OpMode, why: str
+) -> None:
+    done = imc.PlanControlState(PlanState.READY, PLAN_ID, last_outcome=1)
+    talk = Talk()
+    talk.take_over()
+    talk.hear(OURS)
+    talk.dialect.release("done", talk.now_s)
+    talk.sent()
+    talk.hear(done)
+    talk.hear(imc.VehicleState(mode))
+    talk.now_s += 61.0
+    assert_not_asked(talk, why, imc.VehicleState(OpMode.SERVICE), done)
     talk.hear(SURVEY)
     talk.take_over()
 
