@@ -231,7 +231,7 @@ class Pilot(Generic[W]):
         up = self._authority.state != "down"
         if was_up and not up:
             self._report_queue.link_lost()
-        if up and Capability.CONTACT in self._talker.capabilities:
+        if up:
             for report, ticket in self._report_queue.take_due(now_s):
                 self._talker.report(report, ticket, now_s)
         outgoing = self._fetched(partial(self._why_not_sent, state, now_s), now_s)
@@ -244,11 +244,12 @@ class Pilot(Generic[W]):
         self._report_queue.go_on(session, n_starts)
 
     def report(self, contact: Contact) -> None:
-        """Queue the report of a contact that is new or has changed.
+        """Queue the report of a contact that is new or has changed, if the vehicle takes any.
 
         Raises ValueError for an id that is not C and a number.
         """
-        self._report_queue.add(contact)
+        if Capability.CONTACT in self._talker.capabilities:
+            self._report_queue.add(contact)
 
     def report_health(self, health: PayloadHealth, now_s: float) -> None:
         """Report how the payload is, at once if it changed."""

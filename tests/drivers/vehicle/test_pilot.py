@@ -397,6 +397,13 @@ def test_contacts_wait_for_the_vehicle() -> None:
     assert len(sea.dialect.reports) == 1
 
 
+def test_no_report_waits_for_a_vehicle_that_takes_none() -> None:
+    sea = Sea(GOES_BY_ITSELF & ~Capability.CONTACT)
+    sea.pilot.report(contact(1))
+    sea.tick(1.0)
+    assert "reports_waiting=0" in sea.pilot.health()
+
+
 def test_a_refused_report_is_reported_to_people_once_per_contact() -> None:
     sea = Sea()
     sea.tick()
