@@ -360,5 +360,5 @@ def _numbers(message: GoToMessage | SteerMessage) -> WireCommand:
     vertical = Vertical(REFERENCES[message.vertical_reference], message.vertical_m)
     numbers = WireCommand(vertical=vertical, speed_mps=message.speed_mps, holds_s=message.valid_s)
     if isinstance(message, SteerMessage):
-        return numbers._replace(heading_rad=message.heading_rad)
+        return numbers._replace(heading_rad=message.heading_rad % math.tau)
     return numbers._replace(place_deg=(message.latitude_deg, message.longitude_deg), radius_m=message.radius_m)

@@ -32,6 +32,7 @@ from drivers.vehicle.can_translation import (
     text_of,
 )
 from drivers.vehicle.dialect import Command, ContactReport, GoTo, Steer, Vertical
+from drivers.vehicle.talkers.can_talker import CanTalker
 from tests.drivers.vehicle.can_traffic import records
 
 DBC = Path(__file__).parents[3] / "deploy" / "auv_mcm.dbc"
@@ -273,6 +274,12 @@ def test_commands_are_read_back_within_a_step_and_never_deeper_or_faster(command
         assert abs(math.remainder(again.heading_rad - command.heading_rad, 2.0 * math.pi)) <= 0.501e-4
     else:
         raise AssertionError("one kind became the other")
+
+
+def test_a_course_that_rounds_to_a_full_turn_is_read_back_as_the_north_that_a_vehicle_takes_it_for() -> None:
+    frames = sent(command_message(Steer(math.tau - 1e-6, Vertical("depth", 5.0), 1.5), 3.0, 1, 1))
+    read = CanTalker(CanSettings()).commands_in(frames)
+    assert {round(command.heading_rad or 0.0, 4) for command in read if command is not None} == {0.0}
 
 
 @given(commands, st.integers(0, 8))
