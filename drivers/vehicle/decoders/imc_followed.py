@@ -46,8 +46,6 @@ class FollowedVehicle:
         """Take a message of any source but the payload. to: whom it is addressed to."""
         if isinstance(message, imc.Abort) and to in (ANYONE, self.number):
             self._aborted_s, self._withheld = now_s, "an Abort came"
-        elif source == self.number:
-            self._hear_plan(message, now_s)
         if self._named is None and is_vehicle(message):
             if len(self._all) < _MAX_HEARD:
                 self._all[source] = None
@@ -56,8 +54,11 @@ class FollowedVehicle:
         if source == self.number:
             self._heard_s = now_s
 
-    def _hear_plan(self, message: ImcMessage, now_s: float) -> None:
-        """Find out whether the vehicle may be started: it flies, or is idle since the payload's own plan."""
+    def hear_plan(self, message: ImcMessage, now_s: float, *, is_recent: bool) -> None:
+        """Find out from the vehicle's message whether it may be started: it flies, or is idle since the payload's plan.
+
+        is_recent: by its time. What would let it be started counts only then.
+        """
         if isinstance(message, imc.FollowRefState) and message.state == RefState.TIMEOUT:
             self._flies_ours = False
         if isinstance(message, imc.VehicleState) and message.op_mode == OpMode.EXTERNAL:
@@ -66,7 +67,7 @@ class FollowedVehicle:
             self._flew = False
         if not isinstance(message, imc.PlanControlState):
             return
-        self._plans_s = now_s
+        self._plans_s = now_s if is_recent else self._plans_s
         if message.state not in (PlanState.INITIALIZING, PlanState.EXECUTING):
             flew_ours = self._flies_ours and not self.is_left
             is_done = message.state == PlanState.READY and message.last_outcome == _SUCCESS
@@ -76,6 +77,8 @@ class FollowedVehicle:
             elif not self._flew:
                 self._withheld = self._withheld or _IDLE
             self._flies_ours = self._flies_own = False
+        elif not is_recent:
+            return
         elif message.plan_id == PLAN_ID:
             self._flew, self._flies_ours, self._flies_own = True, True, False
             self._withheld = self._withheld if self._withheld != _IDLE else ""

@@ -183,8 +183,7 @@ class ImcTalker:
     def request(self, now_s: float) -> None:
         if self._stage != "idle":
             return
-        self._stage = "requested"
-        self._requested_s = now_s
+        self._stage, self._requested_s = "requested", now_s
         self._request_id = self._request_id % 0xFFFF + 1
         self._n_starts = 0
         self._vehicle.is_left = False
@@ -326,7 +325,8 @@ class ImcTalker:
                 self.counters["imc.refused.stale"] += 1
                 return [Doubted(doubt)]
         else:
-            self._vehicles_clock.hear(received.time_s, now_s)
+            is_recent = self._vehicles_clock.hear(received.time_s, now_s)
+            self._vehicle.hear_plan(message, now_s, is_recent=is_recent)
         return self._heard(message, state, now_s, for_us=received.destination in (self._settings.source_id, ANYONE))
 
     def _gives_leave(self, message: ImcMessage) -> bool:

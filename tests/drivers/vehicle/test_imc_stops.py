@@ -146,6 +146,16 @@ def test_an_abort_of_another_vehicle_leaves_ours_to_be_asked() -> None:
     talk.take_over()
 
 
+def test_a_report_of_a_plan_that_is_late_or_recorded_does_not_end_what_an_abort_began() -> None:
+    talk = Talk()
+    talk.hear(imc.Abort(), source=OTHER)
+    for age_s in (5.0, 500.0):
+        talk.now_s += 61.0
+        talk.hear(imc.PlanControlState(PlanState.READY))
+        talk.hear(SURVEY, age_s=age_s)
+        assert_not_asked(talk, "an Abort came")
+
+
 @pytest.mark.parametrize("lost", ["wire", "messages"])
 def test_after_a_gap_nothing_is_started_until_the_vehicle_says_what_it_flies_now(lost: str) -> None:
     talk = Talk()
