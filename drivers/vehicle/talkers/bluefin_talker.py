@@ -111,6 +111,7 @@ class BluefinTalker(AsciiTalker):
         self._commanded = False  # it took a command, or may have, since control was given back last
         self._takes_contacts: bool | None = None  # None: not known yet
         self._heartbeat_s = self._heard_s = 0.0
+        self._placed_s = 0.0  # when it reported its position last, or was asked to
 
     def report(self, report: ContactReport, ticket: int, now_s: float) -> None:
         if self._takes_contacts is False:
@@ -119,7 +120,7 @@ class BluefinTalker(AsciiTalker):
             self._put(_Item(("MCM", report.number), BluefinContact(NAN, report), ticket))
 
     def _greet(self, now_s: float) -> None:
-        self._heartbeat_s = self._heard_s = now_s
+        self._heartbeat_s = self._heard_s = self._placed_s = now_s
         self._ask_for(*_ASKED_FOR)
 
     def _ask_for(self, *names: str) -> None:
@@ -141,6 +142,7 @@ class BluefinTalker(AsciiTalker):
         elif self._clock is None:
             self._clock = now_s, 1e-9 * received.utc_ns % DAY_S
         if state is not None:
+            self._placed_s = now_s
             yield state
         match record:
             case BluefinAnswer():
@@ -213,6 +215,9 @@ class BluefinTalker(AsciiTalker):
             self._greet(now_s)
             if end_of_control is not None:
                 self._put(end_of_control)
+        elif now_s - self._placed_s >= self.silent_after_s:  # it started anew, and sends what it was asked for since
+            self._placed_s = now_s
+            self._ask_for(*_ASKED_FOR)
         lines = self._resend(now_s)
         while (item := self._next(now_s)) is not None:
             del self._waiting[item.key]

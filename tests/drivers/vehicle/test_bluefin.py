@@ -10,7 +10,7 @@ from msgspec import structs
 
 from auv_mcm.settings.vehicle_settings import BluefinSettings
 from drivers.navigation.nmea0183 import sentence
-from drivers.vehicle.dialect import Acknowledged, Granted, Rejected, VehicleEvent, Withheld
+from drivers.vehicle.dialect import Acknowledged, Granted, Rejected, ReportedState, VehicleEvent, Withheld
 from drivers.vehicle.talkers.bluefin_talker import ATTEMPTS, RESEND_S
 from tests.drivers.vehicle.vehicle_loop import REPORT, STEER, Loop, in_control, stamp_at
 from tests.sim_replay.conversation import Conversation
@@ -100,7 +100,7 @@ def test_no_answer_to_one_kind_of_sentence_while_others_come_takes_control_away_
 
 def test_times_have_three_decimals_and_follow_the_clock_of_the_vehicle() -> None:
     dialect = granted()
-    hear(dialect, "BFNVR,235959.900,1.0,0.0,0.0", 50.0)
+    hear(dialect, "BFNVG,235959.900,4807.4,N,00539.2,W,1,6.50,12.34,275.3,1.5,-2.0,235959.900", 50.0)
     dialect.command(STEER, 50.5)
     lines = sent(dialect, 50.5)
     while new := [line for known in lines[-1:] for line in (answer(dialect, known, 50.5), sent(dialect, 50.5))[1]]:
@@ -219,6 +219,17 @@ def test_control_begins_and_ends_by_the_words_that_the_settings_name(by: str, gr
     assert [type(event) for event in hear(dialect, grant, 0.2)] == [Granted]
     assert hear(dialect, grant, 0.3) == [], "reported once"
     assert [type(event) for event in hear(dialect, end, 0.4)] == [Withheld]
+
+
+def test_a_vehicle_restarted_just_before_a_request_is_asked_for_its_position_again() -> None:
+    loop = Loop("bluefin")
+    loop.vehicle.willing = False
+    loop.run(3.0)
+    loop.vehicle.power_up(loop.now_s)
+    loop.dialect.request(loop.now_s)
+    loop.run(10.0)
+    loop.events.clear()
+    assert loop.run(1.0).of(ReportedState)
 
 
 def test_a_grant_before_the_request_counts_once_it_is_asked_for() -> None:
