@@ -184,9 +184,9 @@ class SessionRecorder:
             self._has_failed = False
             text = (
                 f"recording into {self._place} goes on; {self._counters['session.bytes_lost']} bytes are missing so "
-                "far, and it marks where. Check the disk."
+                "far, and it marks where."
             )
-            self._raise_notice(Notice(code="session_resumed", text=text, place=self._place))
+            self._raise_notice(Notice(code="recording_resumed", text=text, place=self._place, for_the_record=True))
 
     def _lose(self, port: str, stamp: Stamp, data: bytes) -> None:
         self._counters["session.chunks_lost"] += 1
@@ -211,7 +211,8 @@ class SessionRecorder:
                 return
             self._has_failed = True
             why = (error.strerror if isinstance(error, OSError) else None) or error
-            again = "it is tried again" if isinstance(error, OSError) else "start again"
+            is_tried = isinstance(error, OSError) and not self._closing.is_set()
+            again = "it is tried again" if is_tried else "start again"
             text = (
                 f"recording into {self._place} has stopped: {why}. The mission goes on without it; what was recorded "
                 f"before can be read. Free disk space or check the disk; {again}."
@@ -229,7 +230,7 @@ class SessionRecorder:
 
     def _raise_notice(self, notice: Notice) -> None:
         self._notices.append(notice)
-        log.error("%s", notice.text)
+        log.log(logging.INFO if notice.for_the_record else logging.ERROR, "%s", notice.text)
 
 
 def add(writer: SessionWriter, entries: Sequence[Recorded | Lost]) -> None:

@@ -121,7 +121,7 @@ def test_after_a_failure_of_the_disk_everything_is_recorded_once(operation: str,
             threading.Event().wait(0.01)
     recorder.close()
     assert recorder.counters == {"session.chunks_recorded": 300, "session.bytes_recorded": n_bytes(chunks)}
-    assert [notice.code for notice in recorder.take_notices()] == ["session_stopped", "session_resumed"]
+    assert [notice.code for notice in recorder.take_notices()] == ["session_stopped", "recording_resumed"]
     assert recorder.queued_bytes == 0
     assert list(session := Session(tmp_path)) == chunks
     assert set(session.counters) <= {"session.files_unfinished", "session.bytes_torn"}
@@ -139,7 +139,7 @@ def test_a_disk_that_is_full_from_the_start_and_then_has_room_takes_what_waits(t
     room.set()
     recorder.close()
     assert list(Session(tmp_path)) == chunks
-    assert [notice.code for notice in recorder.take_notices()] == ["session_resumed"]
+    assert [notice.code for notice in recorder.take_notices()] == ["recording_resumed"]
 
 
 def test_what_a_failed_disk_leaves_no_room_for_is_lost_and_marked(tmp_path: Path) -> None:
@@ -160,7 +160,7 @@ def test_what_a_failed_disk_leaves_no_room_for_is_lost_and_marked(tmp_path: Path
     assert 0 < len(read) < 50
     assert read == chunks[: len(read)]
     assert recorder.counters["session.chunks_lost"] == session.counters["session.chunks_lost"] == 50 - len(read)
-    assert [notice.code for notice in recorder.take_notices()] == ["session_stopped", "session_resumed"]
+    assert [notice.code for notice in recorder.take_notices()] == ["session_stopped", "recording_resumed"]
 
 
 def test_a_reserve_of_the_disk_is_kept(tmp_path: Path) -> None:
