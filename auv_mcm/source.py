@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Literal, NamedTuple, Protocol, TypeAlias, runtime_checkable
 
 from auv_mcm.clock import Stamp
@@ -23,6 +23,13 @@ class SourceUri(NamedTuple):
     options: dict[str, str]
 
 
+class AnnouncedContact(NamedTuple):
+    """Hold what the runs of a session before this one announced of a contact: how often, and its highest p_mine."""
+
+    n_revisions: int
+    p_mine: float
+
+
 class VehiclePilot(Protocol):
     """Talk to the vehicle at its port; nothing here waits or raises."""
 
@@ -38,8 +45,11 @@ class VehiclePilot(Protocol):
 
     def take_notices(self) -> list[Notice]: ...
 
-    def go_on(self, session: int, n_starts: int) -> None:
-        """Report contacts under the numbers of a session that n_starts runs before this one began."""
+    def go_on(self, session: int, n_starts: int, announced: Mapping[int, AnnouncedContact]) -> None:
+        """Report contacts under the numbers of a session that n_starts runs before this one began.
+
+        announced: by them, by the number of a report.
+        """
 
     def report(self, contact: Contact) -> None:
         """Report a contact that is new or has changed."""

@@ -28,8 +28,8 @@ class Limit(NamedTuple):
 
 
 LINES: Final = {
-    "auv_mcm": Limit(41_810, 35_500),
-    "drivers": Limit(18_500, 15_500),
+    "auv_mcm": Limit(41_830, 35_500),
+    "drivers": Limit(18_520, 15_500),
     "sim_replay": Limit(53_690, 42_000),
     "sim_replay/augment": Limit(2_210, 2_400),
     "sim_replay/batch": Limit(600, 600),
@@ -43,7 +43,7 @@ LINES: Final = {
     "sim_replay/scoring": Limit(2_180, 2_200),
     "sim_replay/simulator": Limit(6_550, 6_900),
     "sim_replay/view": Limit(2_620, 2_000),
-    "tests": Limit(81_920, 66_000),
+    "tests": Limit(81_960, 66_000),
 }
 LONG_FUNCTIONS: Final = Limit(5, 5)
 LONG_FILES: Final = Limit(0, 0)

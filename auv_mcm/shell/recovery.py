@@ -18,11 +18,12 @@ import msgspec
 from auv_mcm import __version__, kernels
 from auv_mcm.errors import AuvMcmError
 from auv_mcm.plan.look_again import LooksSoFar
-from auv_mcm.records import Notice
+from auv_mcm.records import Notice, report_number
 from auv_mcm.settings.config import Config, ServiceConfig
 from auv_mcm.shell.journal import Journal
 from auv_mcm.shell.journal_contacts import id_in
 from auv_mcm.shell.whole_files import write_file
+from auv_mcm.source import AnnouncedContact
 
 RECORDING: Final = "recording"
 """The folder, among the results, for what live ports received and were sent."""
@@ -116,6 +117,7 @@ class Announced(NamedTuple):
 
     known: frozenset[tuple[int, str, str]]
     is_clutter: dict[str, bool]  # of contacts, as announced last
+    contacts: dict[int, AnnouncedContact]  # early ones, too, by the number of their reports
 
 
 class Unfinished(NamedTuple):
@@ -162,6 +164,7 @@ def _not_resumed(folder: Path, why: str) -> Notice:
 class _Properties(msgspec.Struct):
     id: str
     classification: str = msgspec.field(name="class", default="")
+    p_mine: float = 0.0
 
 
 class _Feature(msgspec.Struct):
@@ -178,6 +181,7 @@ def read_announced(folder: Path) -> Announced:
     """Read from the journals what was announced; of a last line that was cut off nothing was. Raises OSError."""
     known: set[tuple[int, str, str]] = set()
     is_clutter: dict[str, bool] = {}
+    contacts: dict[int, AnnouncedContact] = {}
     decoder = msgspec.json.Decoder(_Line)
     for name in (JOURNAL, EARLY_JOURNAL):
         path = folder / name
@@ -191,12 +195,20 @@ def read_announced(folder: Path) -> Announced:
                 except msgspec.MsgspecError:  # a bad block: the contact is known all the same
                     if name == JOURNAL and (contact := id_in(text)):
                         is_clutter.setdefault(contact, False)
+                        _count(contacts, contact, 1.0)
                 else:
                     properties = line.contact.properties
                     known.add((line.event, properties.id, line.state))
+                    _count(contacts, properties.id, properties.p_mine)
                     if name == JOURNAL:
                         is_clutter[properties.id] = properties.classification == "clutter"
-    return Announced(frozenset(known), is_clutter)
+    return Announced(frozenset(known), is_clutter, contacts)
+
+
+def _count(contacts: dict[int, AnnouncedContact], name: str, p_mine: float) -> None:
+    """Count a line of a journal among those of its contact."""
+    before = contacts.get(number := report_number(name), AnnouncedContact(0, 0.0))
+    contacts[number] = AnnouncedContact(before.n_revisions + 1, max(before.p_mine, p_mine))
 
 
 def session_kind(config: Config) -> str:

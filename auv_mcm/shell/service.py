@@ -265,8 +265,8 @@ class Service:
     def _start_vehicle_link(self) -> None:
         if isinstance(self._source, LiveSource) and self._source.vehicle is not None:
             self._vehicle_link = VehicleLink(self._config, self._source.vehicle, self._clock)
-            session = int(self._memory.started_s) & 0xFFFFFFFF
-            self._vehicle_link.go_on(session, self._memory.n_starts - 1, self._memory.looks)
+            memory, announced = self._memory, self._session.announced.contacts
+            self._vehicle_link.go_on(int(memory.started_s) & 0xFFFFFFFF, memory.n_starts - 1, announced, memory.looks)
             self._vehicle_link.start(self._source.serve_vehicle())
 
     async def _attend_vehicle(self, vehicle_link: VehicleLink) -> None:

@@ -86,7 +86,7 @@ def open_session(parent: Path, config: Config, clock: Clock, *, may_resume: bool
     unfinished = found or unfinished_session(parent)
     folder, began_s = _new_folder(parent, now_s)
     memory = SessionMemory(kind=kind, started_s=began_s, n_starts=1, elapsed_s=0.0)
-    return Session(folder, memory, Announced(frozenset(), {}), () if unfinished is None else (unfinished,))
+    return Session(folder, memory, Announced(frozenset(), {}, {}), () if unfinished is None else (unfinished,))
 
 
 def _resumed(folder: Path, n_starts: int) -> Notice:

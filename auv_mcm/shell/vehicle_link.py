@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable, Coroutine, Iterable, Sequence
+from collections.abc import Callable, Coroutine, Iterable, Mapping, Sequence
 from functools import partial
 from typing import Any, Final
 
@@ -19,7 +19,7 @@ from auv_mcm.plan.look_again import LookAgain, LooksSoFar, PlanRequest, Proposal
 from auv_mcm.records import NAN, Contact, EarlyContact, NavSample, Notice, SourceEvent, Waypoint
 from auv_mcm.settings.config import Config
 from auv_mcm.shell.health.judge import Vehicle
-from auv_mcm.source import Health, VehiclePilot
+from auv_mcm.source import AnnouncedContact, Health, VehiclePilot
 
 # s without a position of the vehicle, after which health is a fault and no leg is requested; without a heading, after
 # which the course serves
@@ -79,9 +79,9 @@ class VehicleLink:
         """Give what planning has to know after a restart."""
         return self._look_again.so_far()
 
-    def go_on(self, session: int, n_starts: int, so_far: LooksSoFar) -> None:
+    def go_on(self, session: int, n_starts: int, announced: Mapping[int, AnnouncedContact], so_far: LooksSoFar) -> None:
         """Go on with a session that n_starts runs before this one began; called first. Control is requested anew."""
-        self.vehicle.go_on(session, n_starts)
+        self.vehicle.go_on(session, n_starts, announced)
         self._look_again.go_on(so_far, self._clock.monotonic_s())
 
     def see(self, event: SourceEvent) -> None:

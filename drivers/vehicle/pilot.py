@@ -12,13 +12,14 @@ from __future__ import annotations
 import logging
 import math
 from collections import Counter, deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Final, Generic, NamedTuple, TypeVar
 
 from auv_mcm.clock import Stamp
 from auv_mcm.records import Contact, Notice, Waypoint
 from auv_mcm.settings.vehicle_settings import VehicleConfig
+from auv_mcm.source import AnnouncedContact
 from drivers.vehicle.authority import Action, Ask, Authority, AuthorityState, GiveBack
 from drivers.vehicle.dialect import (
     Acknowledged,
@@ -239,9 +240,9 @@ class Pilot(Generic[W]):
         last_words, self._last_words = self._last_words, []
         return [*last_words, *outgoing]
 
-    def go_on(self, session: int, n_starts: int) -> None:
-        """Report contacts under the numbers of a session that n_starts runs before this one began."""
-        self._report_queue.go_on(session, n_starts)
+    def go_on(self, session: int, n_starts: int, announced: Mapping[int, AnnouncedContact]) -> None:
+        """Report contacts under the numbers of a session; see `ReportQueue.go_on`."""
+        self._report_queue.go_on(session, n_starts, announced)
 
     def report(self, contact: Contact) -> None:
         """Queue the report of a contact that is new or has changed, if the vehicle takes any.

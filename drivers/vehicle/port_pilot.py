@@ -5,11 +5,12 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, Literal
 
 from auv_mcm.clock import Clock, Stamp
 from auv_mcm.records import Contact, Notice, Waypoint
+from auv_mcm.source import AnnouncedContact
 from drivers.vehicle.dialect import PayloadHealth, VehicleMessage
 from drivers.vehicle.pilot import Pilot
 
@@ -57,9 +58,9 @@ class PortPilot:
         """Take messages of the vehicle, if any. stamp: when the last of its bytes were read."""
         self._have(lambda now_s: self._pilot.hear(messages, stamp))
 
-    def go_on(self, session: int, n_starts: int) -> None:
-        """Report contacts under the numbers of a session that n_starts runs before this one began."""
-        self._pilot.go_on(session, n_starts)
+    def go_on(self, session: int, n_starts: int, announced: Mapping[int, AnnouncedContact]) -> None:
+        """Report contacts under the numbers of a session; see `ReportQueue.go_on`."""
+        self._pilot.go_on(session, n_starts, announced)
 
     def report(self, contact: Contact) -> None:
         self._have(lambda now_s: self._pilot.report(contact))

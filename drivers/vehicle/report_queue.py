@@ -9,12 +9,14 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Mapping
 from typing import Final, NamedTuple
 
 import msgspec
 
 from auv_mcm.contacts.contact import depth_m, sigma_m
 from auv_mcm.records import EARLY_NUMBERS, Contact, report_number
+from auv_mcm.source import AnnouncedContact
 from drivers.vehicle.dialect import ContactReport
 
 MAX_CONTACTS: Final = 10_000
@@ -28,9 +30,11 @@ _MAX_AT_ONCE: Final = (
 _REPEAT_S: Final = (
     30.0  # without an answer on a link that stays up: the dialect's own repetitions have ended, or the answer was lost
 )
-_REVISIONS_PER_START: Final = 256
-"""Revisions that one run of a session may send of a contact before the next run's begin."""
+_REVISIONS_PER_START: Final = 128
+"""Revisions that one run of a session may send of a contact beyond those announced on disk, before the next run's."""
 _MAX_STARTS: Final = 255  # runs whose revisions 16 bits hold
+_MAX_ANNOUNCED: Final = 32_767  # revisions, as above, that they hold beside
+_NOT_ANNOUNCED: Final = AnnouncedContact(0, 0.0)
 _MAX_TICKET: Final = 65_535  # 16 bits on the bus; 0 stands for none
 
 
@@ -82,22 +86,27 @@ class ReportQueue:
         self._unacknowledged: dict[int, int] = {}  # contact numbers by ticket
         self._last_ticket = 0
         self._first_revision = 0  # less one
+        self._announced: Mapping[int, AnnouncedContact] = {}  # by runs before
         self._goes_on = False  # with a session that other runs began
 
-    def go_on(self, session: int, n_starts: int) -> None:
+    def go_on(self, session: int, n_starts: int, announced: Mapping[int, AnnouncedContact]) -> None:
         """Go on with a session that other runs began; called before the first contact.
 
-        What they sent is not known for certain. So each contact comes again under its number, with a revision above all
-        that they can have sent. After 255 runs revisions begin again, with the next number of a session.
+        What they sent is not known for certain. So each contact that was ever likely enough comes again under its
+        number, with a revision above all that they can have sent. After 255 runs revisions begin again, with the next
+        number of a session.
 
         Parameters
         ----------
         n_starts
             Runs of the session before this one.
+        announced
+            What they announced, by the number of a report.
         """
         n_rounds, n_before = divmod(n_starts, _MAX_STARTS)
         self._session = session + n_rounds
         self._first_revision = n_before * _REVISIONS_PER_START
+        self._announced = announced
         self._goes_on = n_starts > 0
 
     @property
@@ -114,14 +123,17 @@ class ReportQueue:
             return
         # A run before may have reported the early contact that this takes back.
         takes_back = self._goes_on and report.number > EARLY_NUMBERS and not report.n_views
-        is_wanted = takes_back or report.p_mine >= self._min_p_mine
+        before = self._announced.get(report.number, _NOT_ANNOUNCED)
+        is_wanted = takes_back or max(report.p_mine, before.p_mine) >= self._min_p_mine
         if queued is None:
             if not is_wanted:
                 return
             if len(self._contacts) >= MAX_CONTACTS and not self._let_go_early():
                 self.counters["vehicle.reports_not_kept"] += 1
                 return
-            queued = self._contacts[report.number] = _QueuedContact(report, self._first_revision)
+            queued = self._contacts[report.number] = _QueuedContact(
+                report, self._first_revision + min(before.n_revisions, _MAX_ANNOUNCED)
+            )
         queued.latest = report
         if queued.sent is None and not is_wanted:
             del self._contacts[report.number]

@@ -9,7 +9,7 @@ import json
 import math
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,7 @@ from auv_mcm.settings.vehicle_settings import VehicleConfig
 from auv_mcm.shell.health.judge import Computer
 from auv_mcm.shell.perception_chain import MakePipeline
 from auv_mcm.shell.service import Service
-from auv_mcm.source import EventSink, PortState, QuantityState, Record, SourceHealth
+from auv_mcm.source import AnnouncedContact, EventSink, PortState, QuantityState, Record, SourceHealth
 from tests.auv_mcm.shell import fake_pipelines as fake
 
 FENCED = VehicleConfig(command=True, fence_deg=((42.99, 4.99), (42.99, 5.01), (43.01, 5.01), (43.01, 4.99)))
@@ -45,7 +45,8 @@ class Vehicle:
     def take_notices(self) -> list[Notice]:
         return []
 
-    def go_on(self, session: int, n_starts: int) -> None:
+    def go_on(self, session: int, n_starts: int, announced: Mapping[int, AnnouncedContact]) -> None:
+        self.announced = announced
         if n_starts:
             self.reports.append(("go on", n_starts))
 
@@ -336,6 +337,8 @@ def test_after_a_restart_the_vehicle_gets_all_contacts_again_under_their_numbers
     results = serve(tmp_path, after, lambda: after.vehicle.words().count("contact") >= 4)
     assert after.vehicle.reports[:2] == [("go on", 1), ("starting", "the payload starts")]
     known = {number for word, number in before.vehicle.reports if word == "contact"}
+    assert {f"C{number:04d}" for number in after.vehicle.announced} >= known
+    assert all(each.n_revisions and each.p_mine for each in after.vehicle.announced.values())
     assert known <= {number for word, number in after.vehicle.reports if word == "contact"}
     journal = [json.loads(line) for line in (results / "contacts.jsonl").read_text().splitlines()]
     announced = [(line["event"], line["contact"]["properties"]["id"]) for line in journal]

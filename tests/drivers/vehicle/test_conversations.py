@@ -85,7 +85,7 @@ class Talk(Voyage):
         self.decoder = decoder_of(self.name, self.settings, "vehicle")
         self.talker = talker_of(self.name, self.settings, lambda n: self.n_starts)
         self.pilot = Pilot(self.talker, self.config, session=1)
-        self.pilot.go_on(1, self.n_starts)
+        self.pilot.go_on(1, self.n_starts, {})
         for each in self.contacts.values():
             self.pilot.report(each)
         self.happen("join")

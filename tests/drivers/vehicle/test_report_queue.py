@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from auv_mcm.records import NAN, Contact, EarlyContact
+from auv_mcm.source import AnnouncedContact
 from drivers.vehicle.dialect import ContactReport
 from drivers.vehicle.report_queue import MAX_CONTACTS, MAX_UNACKNOWLEDGED, DueReport, ReportQueue, report_of
 from tests.auv_mcm.classify import drawn_looks
@@ -304,23 +305,32 @@ def test_an_early_contact_has_a_number_of_its_own_and_is_taken_back_by_a_revisio
 
 def test_after_a_restart_revisions_are_above_all_that_a_run_before_can_have_sent() -> None:
     queue = empty_queue()
-    queue.go_on(session=3, n_starts=2)
+    queue.go_on(3, 2, {1: AnnouncedContact(300, 0.5)})
     queue.add(contact(1, 0.5))
     queue.add(contact(2, 0.6))
     queue.add(EarlyContact(contact=contact(4, 0.6, id="E00004"), state="withdrawn").reported)  # it was found before
-    assert revisions(queue.take_due(0.0)) == [(1, 513), (2, 513), (1_000_004, 513)]
+    assert revisions(queue.take_due(0.0)) == [(1, 557), (2, 257), (1_000_004, 257)]
     queue.add(contact(1, 0.7))
     (due,) = queue.take_due(0.1)
-    assert (due.report.session, due.report.number, due.report.revision) == (3, 1, 514)
+    assert (due.report.session, due.report.number, due.report.revision) == (3, 1, 558)
+
+
+def test_after_a_restart_the_vehicle_hears_of_a_contact_that_is_no_longer_likely() -> None:
+    queue = empty_queue()
+    queue.go_on(3, 1, {1: AnnouncedContact(4, 0.6), 2: AnnouncedContact(1, 0.05)})
+    queue.add(contact(1, 0.05))
+    queue.add(contact(2, 0.05))
+    (due,) = queue.take_due(0.0)
+    assert (due.report.number, due.report.p_mine) == (1, 0.05)
 
 
 def test_revisions_of_however_many_starts_fit_into_16_bits_and_come_once() -> None:
     sent = set()
     for n_starts in range(600):
         queue = empty_queue()
-        queue.go_on(session=3, n_starts=n_starts)
+        queue.go_on(3, n_starts, {1: AnnouncedContact(1_000_000 * (n_starts > 300), 0.5)})
         queue.add(contact(1))
         (due,) = queue.take_due(0.0)
-        assert due.report.revision + 255 <= 0xFFFF
+        assert due.report.revision + 127 <= 0xFFFF
         sent.add((due.report.session, due.report.revision))
     assert len(sent) == 600
