@@ -108,6 +108,7 @@ class BluefinTalker(AsciiTalker):
         self._clock: tuple[float, float] | None = None  # monotonic time, and time of day then
         self._last_time_s = -DAY_S
         self._permitted = False
+        self._refuses = False  # by its last word on control, whatever its mission does
         self._commanded = False  # it took a command, or may have, since control was given back last
         self._takes_contacts: bool | None = None  # None: not known yet
         self._heartbeat_s = self._heard_s = 0.0
@@ -131,7 +132,7 @@ class BluefinTalker(AsciiTalker):
     def _forget(self) -> None:
         self._waiting.clear()
         self._sent.clear()
-        self._permitted = self._commanded = False
+        self._permitted = self._refuses = self._commanded = False
         self._takes_contacts = None
 
     def _heard(self, record: Any, state: ReportedState | None, received: Stamp) -> Iterable[VehicleEvent]:
@@ -150,11 +151,16 @@ class BluefinTalker(AsciiTalker):
             case BluefinShutdown():
                 yield from self._permit(False, "the vehicle shuts down its payloads")
             case BluefinControl(control="0"):
+                self._refuses = True
                 yield from self._permit(False, "the vehicle does not grant control (BFCTL 0)")
-            case BluefinControl() if self._settings.granted_by == "BFCTL":
-                yield from self._permit(True, "the vehicle lets the payload command (BFCTL 1)")
+            case BluefinControl():
+                self._refuses = False
+                if self._settings.granted_by == "BFCTL":
+                    yield from self._permit(True, "the vehicle lets the payload command (BFCTL 1)")
             case BluefinMission() if _RUNNING not in record.status.lower():
                 yield from self._permit(False, f"no mission is running (BFMIS {record.status})")
+            case BluefinMission() | BluefinCommand() if self._refuses:
+                pass
             case BluefinMission() if self._settings.granted_by == "BFMIS":
                 yield from self._permit(True, "a mission is running (BFMIS)")
             case BluefinCommand() if self._settings.granted_by == "BFMSC":

@@ -221,6 +221,17 @@ def test_control_begins_and_ends_by_the_words_that_the_settings_name(by: str, gr
     assert [type(event) for event in hear(dialect, end, 0.4)] == [Withheld]
 
 
+def test_a_vehicle_that_withholds_control_is_not_commanded_because_its_mission_runs() -> None:
+    dialect = greeted(BluefinSettings(granted_by="BFMIS"))
+    dialect.request(0.0)
+    assert [type(event) for event in hear(dialect, "BFMIS,101010.000,plan,Running", 0.1)] == [Granted]
+    assert [type(event) for event in hear(dialect, "BFCTL,101010.000,0", 0.2)] == [Withheld]
+    dialect.request(0.3)
+    assert hear(dialect, "BFMIS,101010.000,plan,Running", 0.4) == []
+    assert hear(dialect, "BFCTL,101010.000,1", 0.5) == []
+    assert [type(event) for event in hear(dialect, "BFMIS,101010.000,plan,Running", 0.6)] == [Granted]
+
+
 def test_a_vehicle_restarted_just_before_a_request_is_asked_for_its_position_again() -> None:
     loop = Loop("bluefin")
     loop.vehicle.willing = False
