@@ -147,9 +147,11 @@ def _port(port: PortConfig, key: str, subsystem: int | None) -> PortSettings:
 
 def _refuse_unsent(sonar: SonarPortConfig, key: str) -> None:
     """Refuse what a person set and no command would carry."""
-    if sonar.gain is not None or not sonar.enabled:
-        what = "gain is set" if sonar.enabled else "enabled is false"
-        raise UsageError(f"{key}.{what}, but no command is sent without range_m: give the range as well")
+    as_it_is = SonarPortConfig()
+    for name in ("enabled", "gain", "n_samples", "sound_speed_mps"):
+        if getattr(sonar, name) != getattr(as_it_is, name):
+            what = f"{name} is set" if sonar.enabled else "enabled is false"
+            raise UsageError(f"{key}.{what}, but no command is sent without range_m: give the range as well")
 
 
 def _pulse(unit: PortSettings, link: str, key: str) -> PortSettings:

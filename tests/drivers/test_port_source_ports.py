@@ -276,6 +276,10 @@ def test_units_on_a_bus_share_the_settings_of_its_port() -> None:
         ),
         ("link: 'tcp://10.0.0.2:1', device: jsf, sonar: {gain: 9}", "ports[0].sonar.gain is set, but no command"),
         (
+            "link: 'tcp://10.0.0.2:1', device: jsf, sonar: {sound_speed_mps: 1480}",
+            "ports[0].sonar.sound_speed_mps is set, but no command",
+        ),
+        (
             "link: 'tcp://10.0.0.2:1', device: sportscan, sonar: {range_m: 31}",
             "ports[0].sonar: sportscan: a range of 31 m",
         ),
