@@ -178,10 +178,10 @@ def _run(arguments: argparse.Namespace) -> int:
     source = find_source(arguments.source, None if arguments.config is None else read_config(arguments.config))
     _check_apart([path for path in (*wanted, arguments.qgis) if path is not None and path not in chips], source)
     name = source.config.mission or (source.results or source.logs[0]).resolve().stem
+    if any(path is not None for path in chips):  # first, since it fails where nothing was judged
+        _write_chips(source, arguments, name)
     if any(path is not None for path in vectors):
         _write_vectors(source, arguments, name)
-    if any(path is not None for path in chips):
-        _write_chips(source, arguments, name)
     left: list[Path] = []
     if arguments.geotiff is not None or arguments.kmz is not None:
         written = _write_mosaic(source, arguments, name)

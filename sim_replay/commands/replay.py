@@ -86,6 +86,7 @@ def add(commands: Commands) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> int:
+    from auv_mcm.classify.beliefs import MINE_LIKE_P
     from sim_replay.closing_line import closing_line
     from sim_replay.logs.open_log import logs_config
     from sim_replay.logs.recorded import parse_speed
@@ -113,8 +114,8 @@ def _run(arguments: argparse.Namespace) -> int:
     words = [
         f"{summary['pings']} pings in {summary['duration_s']:.0f} s over {summary['distance_m']:.0f} m{speed}",
         (
-            f"{summary['contacts']} contacts, {summary['contacts_mine_like']} of them mine-like; "
-            f"{summary['covered_km2']:g} km² covered"
+            f"{summary['contacts']} contacts, {summary['contacts_mine_like']} of them with p_mine {MINE_LIKE_P:g} or "
+            f"more; {summary['covered_km2']:g} km² covered"
         ),
         *map(_notice_words, summary["notices"]),
         f"report: {report}",

@@ -218,7 +218,7 @@ def test_command_line_prints_figures_progress_and_where_the_report_is(
     *_, report, closing = captured.out.splitlines()
     assert report == f"report: {tmp_path / 'report.html'}"
     assert "called mine" in closing
-    assert "mine-like" in captured.out
+    assert "of them with p_mine 0.2 or more" in captured.out
     tenths = [line for line in captured.err.splitlines() if line.startswith("replay: ")]
     assert "replay: 50 %" in tenths
     assert len(tenths) <= 10

@@ -22,9 +22,11 @@ from auv_mcm.records import CoveragePatch
 from sim_replay.geopackage import write_geopackage
 from sim_replay.mosaic import Box
 from sim_replay.qgis import write_project
+from sim_replay.report import PictureCollector, Shown
+from sim_replay.report.report_file import report_contents, write_contents
 from sim_replay.vector_layers import read_layers, write_gpx
 from tests.make.results import write_results
-from tests.sim_replay.report_samples import contact, waypoints
+from tests.sim_replay.report_samples import contact, mission, waypoints
 
 HOSTILE = "<b>\"x'; DROP TABLE contacts; --"
 
@@ -227,3 +229,14 @@ def test_the_qgis_project_shows_every_layer_and_mosaic_by_a_relative_path(
     kinds = {renderer.get("type") for renderer in project.iter("rasterrenderer")}
     assert kinds == {"multibandcolor" if palette else "singlebandgray"}
     assert str(tmp_path) not in (tmp_path / "m.qgs").read_text()
+
+
+def test_an_export_with_chips_of_what_nobody_judged_writes_nothing(
+    results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = shutil.copytree(results, tmp_path / "results")
+    write_contents(folder, report_contents(Shown(mission(), [contact("C00001")], [], [], [], {}, PictureCollector())))
+    wanted = ["--gpkg", str(tmp_path / "m.gpkg"), "--coco", str(tmp_path / "chips")]
+    assert main(["export", str(folder), *wanted]) == 3
+    assert "Judge some" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == [folder]
