@@ -34,7 +34,7 @@ LINES: Final = {
     "sim_replay/augment": Limit(2_210, 2_400),
     "sim_replay/batch": Limit(600, 600),
     "sim_replay/benches": Limit(7_780, 6_000),
-    "sim_replay/commands": Limit(2_060, 700),
+    "sim_replay/commands": Limit(2_070, 700),
     "sim_replay/fakes": Limit(4_380, 3_500),
     "sim_replay/fitting": Limit(7_990, 5_200),
     "sim_replay/hil": Limit(2_380, 3_300),
