@@ -179,23 +179,36 @@ class AsciiTalker(ABC):
 
 
 class PacedReports:
-    """Pace reports for a vehicle that acknowledges none, so that a slow line stays free for commands."""
+    """Pace reports for a vehicle that acknowledges none, so that a slow line stays free for commands.
+
+    What was not sent before goes first.
+    """
 
     def __init__(self) -> None:
-        self._waiting: dict[int, ContactReport] = {}  # by the number of the contact
+        self._new: dict[int, ContactReport] = {}  # by the number of the contact
+        self._again: dict[int, ContactReport] = {}
+        self._sent: dict[int, int] = {}  # revision sent last
         self._next_s = -math.inf
 
     def add(self, report: ContactReport) -> None:
         """Queue a report; it replaces one of the same contact."""
-        self._waiting[report.number] = report
+        if self._sent.get(report.number) == report.revision:
+            self._again[report.number] = report
+            return
+        self._again.pop(report.number, None)
+        self._new[report.number] = report
 
     def clear(self) -> None:
         """Drop all reports that wait."""
-        self._waiting.clear()
+        self._new.clear()
+        self._again.clear()
 
     def take(self, now_s: float) -> ContactReport | None:
-        """Return the oldest report, if one is due."""
-        if not self._waiting or now_s < self._next_s:
+        """Return the report that waits longest, if one is due."""
+        waiting = self._new or self._again
+        if not waiting or now_s < self._next_s:
             return None
         self._next_s = now_s + _REPORT_EVERY_S
-        return self._waiting.pop(next(iter(self._waiting)))
+        report = waiting.pop(next(iter(waiting)))
+        self._sent[report.number] = report.revision
+        return report

@@ -231,7 +231,7 @@ class BluefinTalker(AsciiTalker):
         return lines
 
     def _next(self, now_s: float) -> _Item | None:
-        """Return what may be sent now: one at a time, but the end of control at once."""
+        """Return what may be sent now: one at a time, contacts last, but the end of control at once."""
         urgent = self._waiting.get("RCE")
         if urgent is not None and self._clock is not None:
             return urgent
@@ -239,10 +239,8 @@ class BluefinTalker(AsciiTalker):
             return None
         for key in [key for key, item in self._waiting.items() if now_s >= item.expires_s]:
             del self._waiting[key]
-        return next(
-            (item for item in self._waiting.values() if self._clock is not None or isinstance(item.record, BluefinLog)),
-            None,
-        )
+        ready = (i for i in self._waiting.values() if self._clock is not None or isinstance(i.record, BluefinLog))
+        return min(ready, key=lambda item: item.ticket is not None, default=None)
 
     def _send(self, item: _Item, now_s: float) -> bytes:
         if not isinstance(item.record, BluefinLog):

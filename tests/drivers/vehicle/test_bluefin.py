@@ -131,6 +131,16 @@ def test_an_old_command_is_never_sent_again() -> None:
     assert ",1.00,1,0" in again
 
 
+def test_a_command_waits_for_no_contact_but_the_one_under_way() -> None:
+    dialect = granted()
+    for number in range(1, 65):
+        dialect.report(structs.replace(REPORT, number=number), number, 0.1)
+    (under_way,) = sent(dialect, 0.1)
+    dialect.command(STEER, 0.2)
+    answer(dialect, under_way, 0.3)
+    assert [line[:6] for line in (under_way, *sent(dialect, 0.3))] == ["$BPMCM", "$BPRMB"]
+
+
 def test_what_waited_too_long_is_not_commanded_any_more() -> None:
     dialect = granted()
     dialect.report(REPORT, 7, 0.5)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from msgspec import structs
 
 from auv_mcm.settings.vehicle_settings import IverSettings
 from drivers.navigation.nmea0183 import sentence
@@ -66,3 +67,21 @@ def test_release_says_nothing_and_the_vehicle_goes_on_by_itself_in_time() -> Non
     assert not any(line.startswith((b"$OMSTOP", b"$OMSTART", b"$OMW")) for _, line in loop.sent)
     assert loop.vehicle.counters["vehicle.commands_expired"] == 1
     assert loop.vehicle.command is None
+
+
+def test_a_new_contact_does_not_wait_for_the_repetition_of_all_others() -> None:
+    dialect = Conversation(IverSettings())
+    n_sent = 0
+
+    def numbers_sent(n_contacts: int) -> list[int]:
+        nonlocal n_sent
+        dialect.connected(0.25 * n_sent)
+        for number in range(1, n_contacts + 1):
+            dialect.report(structs.replace(REPORT, number=number), number, 0.25 * n_sent)
+        lines = [line for n in range(n_contacts) for line in dialect.take_outgoing(0.25 * (n_sent + n + 1))]
+        n_sent += n_contacts
+        dialect.disconnected()
+        return [int(line.split(b",")[3]) for line in lines if line.startswith(b"$PMCM,C")]
+
+    assert numbers_sent(300) == list(range(1, 301))
+    assert numbers_sent(301) == [301, *range(1, 301)]
