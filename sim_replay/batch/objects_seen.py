@@ -6,6 +6,7 @@ in order of time. Whether an object should have been seen goes by the coverage o
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from typing import Final, Literal, NamedTuple, TypeAlias
 
@@ -140,24 +141,47 @@ def _matches(
     contacts: Sequence[SeenContact], known: Sequence[_Known], ecef_m: Array, config: ContactsConfig
 ) -> list[int | None]:
     """Assign each contact of a mission the known object that it is a sighting of, or None; one to one."""
-    if not contacts:
-        return []
-    own_m = _ecef(contacts)
-    within = (ecef_m >= own_m.min(axis=0) - config.max_gate_m) & (ecef_m <= own_m.max(axis=0) + config.max_gate_m)
-    near = np.flatnonzero(within.all(axis=1)).tolist()
-    deviation = np.full((len(contacts), len(near)), IMPOSSIBLE)
-    unlike = deviation.copy()
+    from scipy.spatial import cKDTree  # late, as its package is
+
+    matches: list[int | None] = [None] * len(contacts)
+    if not contacts or not known:
+        return matches
+    close = cKDTree(ecef_m).query_ball_point(_ecef(contacts), config.max_gate_m)
+    pairs: dict[tuple[int, int], tuple[float, float]] = {}  # contact and object: squared deviation and unlikeness
     for row, contact in enumerate(contacts):
         frame = LocalFrame(latitude_deg=contact.latitude_deg, longitude_deg=contact.longitude_deg, height_m=0.0)
-        close = np.linalg.norm(ecef_m[near] - own_m[row], axis=1) <= config.max_gate_m
-        for column in np.flatnonzero(close):
-            one = known[near[column]]
+        for column in close[row]:
+            one = known[column]
             offset_m = frame.to_enu(one.latitude_deg, one.longitude_deg, 0.0)[:2]
             distance2 = squared_deviation(offset_m, contact.covariance_m2, one.covariance_m2)
             if distance2 <= config.gate_chi2:
-                deviation[row, column] = distance2
-                unlike[row, column] = unlikeness(contact.p_mine, max(seen.p_mine for _, seen in one.contacts))
-    return [None if column is None else near[column] for column in pair_off(deviation, unlike, config.gate_chi2)]
+                kind = unlikeness(contact.p_mine, max(seen.p_mine for _, seen in one.contacts))
+                pairs[row, column] = distance2, kind
+    for linked in _linked(pairs, len(contacts), len(known)):
+        rows, columns = (sorted(set(numbers)) for numbers in zip(*linked, strict=True))
+        costs = np.full((2, len(rows), len(columns)), IMPOSSIBLE)
+        for row, column in linked:
+            costs[:, rows.index(row), columns.index(column)] = pairs[row, column]
+        for row, chosen in zip(rows, pair_off(costs[0], costs[1], config.gate_chi2), strict=True):
+            matches[row] = None if chosen is None else columns[chosen]
+    return matches
+
+
+def _linked(pairs: Iterable[tuple[int, int]], n_rows: int, n_columns: int) -> Iterable[list[tuple[int, int]]]:
+    """Sort pairs of a row and a column into sets that share neither: memory goes by the pairs, not by n_rows times
+    n_columns.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    found = list(pairs)
+    rows, columns = np.array(found, dtype=np.int64).reshape(-1, 2).T
+    n_nodes = n_rows + n_columns
+    links = coo_array((np.ones(len(found)), (rows, n_rows + columns)), shape=(n_nodes, n_nodes))
+    sets: defaultdict[int, list[tuple[int, int]]] = defaultdict(list)
+    for pair, place in zip(found, connected_components(links, directed=False)[1][rows].tolist(), strict=True):
+        sets[place].append(pair)
+    return sets.values()
 
 
 def _joined(known: _Known, place: int, contact: SeenContact) -> _Known:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import cv2
 import numpy as np
 import pytest
@@ -60,6 +62,18 @@ def test_objects_of_drawn_surveys_are_found_once_each_with_their_history() -> No
         # Independent errors average out.
         assert one.covariance_m2 == pytest.approx(SIGMA_M**2 / n_seen * np.eye(2), rel=1e-2)
         assert np.hypot(*(truth[nearest] - east_north)) < 4.0 * SIGMA_M / np.sqrt(n_seen)
+
+
+def test_memory_goes_by_the_contacts_not_by_their_square() -> None:
+    missions = [[contact(n, 6.0 * (n % 50), 6.0 * (n // 50)) for n in range(1000)] for _ in range(2)]
+    seen([contact(1, 0.0, 0.0)], [contact(1, 0.0, 0.0)])  # loads packages
+    tracemalloc.start()
+    found = seen(*missions, coverage=[[], []])
+    peak_bytes = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert len(found) == 1000
+    assert {one.change for one in found} == {"seen again"}
+    assert peak_bytes < 8e6  # a number for each pair would take as much
 
 
 @pytest.mark.parametrize(
