@@ -22,7 +22,7 @@ def closing_line(summary: Mapping[str, Any]) -> str:
     parts = [f"{n_called} contact{'' if n_called == 1 else 's'} called mine{'' if n_called == 1 else 's'}"]
     point = summary.get("operating_point") or {}
     expected = (point.get("expected_per_km2") or {}).get("middle")
-    if n_called and expected is not None:
+    if n_called and expected is not None and point["searched_km2"]:
         parts[0] += f", of which {expected * point['searched_km2']:.0f} are expected to be none"
     searched = summary.get("searched")
     if searched:

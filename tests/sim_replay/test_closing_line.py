@@ -33,6 +33,13 @@ def test_one_contact_and_none_are_worded_as_such() -> None:
     assert closing_line(summary(contacts_called=0)).startswith("0 contacts called mines; ")
 
 
+def test_calls_where_nothing_counts_as_searched_are_not_expected_to_be_right() -> None:
+    point = summary()["operating_point"] | {"searched_km2": 0.0}
+    assert closing_line(summary(operating_point=point, searched=None)) == (
+        "7 contacts called mines; no sea floor searched."
+    )
+
+
 def test_it_names_what_a_person_should_mend_first() -> None:
     point = summary()["operating_point"] | {"area_too_small": True}
     notices = [{"code": code, "text": "", "place": ""} for code in ("nav.gap", "transfer.chosen")]
