@@ -3,12 +3,15 @@ it."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
+from auv_mcm.clock import Stamp
 from auv_mcm.errors import UsageError
 from auv_mcm.settings.plugins import Plugin, find_device, remedy
 from auv_mcm.settings.port_settings import DeviceKind
+from drivers.plugin_records import check_record, clean_counters, own_samples
 
 T = TypeVar("T")
 
@@ -49,5 +52,41 @@ def called(plugin: Plugin, work: Callable[..., T], *arguments: object) -> T:
         return work(*arguments)
     except UsageError:
         raise
-    except Exception as error:  # code of others raises whatever it likes
+    except (Exception, SystemExit) as error:  # code of others raises whatever it likes
         raise UsageError(f"{plugin}: failed with {error!r}. {remedy(plugin)}") from error
+
+
+def checked_decoder(plugin: Plugin, make: Callable[..., T], expected: Any, *items: type) -> Callable[..., T]:
+    """Wrap a maker of decoders as `checked` does, and its decoders so that they give whole `items` alone."""
+    make_checked = checked(plugin, make, expected)
+    return lambda *arguments: cast(T, _CheckedDecoder(make_checked(*arguments), items))
+
+
+class _CheckedDecoder:
+    """Call a decoder of a plug-in. Raises TypeError for what its interface does not allow it to return."""
+
+    def __init__(self, decoder: Any, items: tuple[type, ...]) -> None:
+        self._decoder, self._items = decoder, items
+
+    @property
+    def counters(self) -> Counter[str]:
+        return clean_counters(self._decoder.counters)
+
+    @property
+    def bus_counters(self) -> Counter[str]:
+        return clean_counters(self._decoder.bus_counters)
+
+    def feed(self, data: Any, stamp: Stamp) -> list[Any]:
+        return self._checked(lambda: self._decoder.feed(data, stamp))
+
+    def finish(self) -> list[Any]:
+        return self._checked(self._decoder.finish)
+
+    def _checked(self, work: Callable[[], Any]) -> list[Any]:
+        try:
+            given = [*work()]
+        except SystemExit as error:
+            raise RuntimeError(f"it called sys.exit({error.code!r})") from error
+        for item in given:
+            check_record(item, *self._items)
+        return [own_samples(item) if hasattr(item, "starboard") else item for item in given]

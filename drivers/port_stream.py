@@ -10,8 +10,11 @@ from typing import Final, Protocol, TypeAlias
 from msgspec import structs
 
 from auv_mcm.clock import Stamp
+from auv_mcm.errors import UsageError
 from auv_mcm.records import NAN, EchoTrace, NavSample, Notice, Ping
 from auv_mcm.settings.config import SonarConfig
+from auv_mcm.settings.plugins import find_device, remedy
+from auv_mcm.settings.port_settings import DEVICE_NAMES
 from drivers.clocks import DeviceClock, SourceClock, UtcAnchor, wire_delay_s
 from drivers.links.can_frame import CanFrame
 from drivers.navigation.n2k_bus import N2kBus
@@ -127,17 +130,27 @@ class PortStream:
         return _UnitReader(port)
 
     def _survive(self, error: Exception) -> list[Decoded]:
-        self._before, self._vehicle_before = self.counters, self.vehicle_counters
+        before, vehicle_before = self.counters, self.vehicle_counters
+        try:
+            self._reader = self._new_reader()
+        except UsageError:  # another package's maker, which worked before: the decoder at hand goes on
+            log.exception("the decoder of port '%s' cannot be made again", self._port.name)
+        else:
+            self._before, self._vehicle_before = before, vehicle_before
         self._before["decoder.failed"] += 1
-        self._reader = self._new_reader()
         if self._before["decoder.failed"] > 1:
             return []
         log.error("the decoder of port '%s' failed", self._port.name, exc_info=error)
         text = (
             f"the decoder of port '{self._port.name}' failed ({error!r}) and was started anew; what it was reading is "
-            "lost. This is a defect: report it with the log and the recording."
+            f"lost. {_remedy(self._port.device)} with the log and the recording."
         )
         return [Notice(code="decoder_failed", text=text, place=self._port.name)]
+
+
+def _remedy(device: str) -> str:
+    plugin = None if device in DEVICE_NAMES else find_device(device)
+    return "This is a defect: report it" if plugin is None else remedy(plugin)
 
 
 class _UnitReader:

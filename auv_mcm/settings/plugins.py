@@ -115,7 +115,7 @@ def import_plugin(plugin: Plugin) -> Any:
 
     try:
         return EntryPoint(plugin.name, plugin.target, GROUPS[plugin.kind]).load()
-    except Exception as error:  # code of others raises whatever it likes
+    except (Exception, SystemExit) as error:  # code of others raises whatever it likes
         reason = str(error).splitlines()[0] if str(error) else "no reason given"
         text = f"{plugin}: {plugin.target} cannot be imported ({type(error).__name__}: {reason}). {remedy(plugin)}"
         raise UsageError(text) from error

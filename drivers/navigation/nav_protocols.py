@@ -13,10 +13,10 @@ from typing import Final
 from auv_mcm.errors import UsageError
 from auv_mcm.settings.plugins import Plugin, import_plugin, remedy
 from drivers.navigation.dvl_pd6 import Pd6Unit
-from drivers.navigation.nav_decoder import NavDecoder
+from drivers.navigation.nav_decoder import NavDecoder, NavFix
 from drivers.navigation.nmea_unit import NmeaUnit
 from drivers.navigation.water_linked_unit import WaterLinkedUnit
-from drivers.plugin_device import checked, device_plugin
+from drivers.plugin_device import checked_decoder, device_plugin
 
 CAN_PROTOCOL: Final = "nmea2000"  # frames instead of bytes: `n2k_bus.N2kBus`
 TEXT_PROTOCOLS: Final[Mapping[str, Callable[[str], NavDecoder]]] = MappingProxyType(
@@ -44,4 +44,4 @@ def nav_maker_of(plugin: Plugin) -> Callable[[str], NavDecoder]:
         raise UsageError(
             f"{plugin}: {plugin.target} is of type {type(make).__name__}, and does not make decoders. {remedy(plugin)}"
         )
-    return checked(plugin, make, NavDecoder)
+    return checked_decoder(plugin, make, NavDecoder, NavFix)

@@ -9,12 +9,13 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Final, NamedTuple
 
+from auv_mcm.records import Notice
 from auv_mcm.settings.config import SonarConfig
 from auv_mcm.settings.plugins import Plugin, load_plugin
 from drivers.clocks import MILLISECOND_COUNTER_S
-from drivers.plugin_device import called, checked, device_plugin
+from drivers.plugin_device import called, checked_decoder, device_plugin
 from drivers.sonar import imagenex, jsf, ping_protocol
-from drivers.sonar.sonar_decoder import SonarDecoder, SonarSettings
+from drivers.sonar.sonar_decoder import SonarDecoder, SonarFrame, SonarReply, SonarSettings
 
 
 class SonarDevice(NamedTuple):
@@ -62,7 +63,7 @@ def sonar_of(plugin: Plugin) -> SonarDevice:
     """Import the sonar of another package. Raises UsageError if it cannot be used."""
     device = load_plugin(plugin, SonarDevice)
     return device._replace(
-        decoder=checked(plugin, device.decoder, SonarDecoder),
+        decoder=checked_decoder(plugin, device.decoder, SonarDecoder, SonarFrame, SonarReply, Notice),
         commands=lambda settings: _commands(plugin, device, settings),
     )
 

@@ -20,6 +20,7 @@ from auv_mcm.clock import Stamp
 from auv_mcm.records import Contact, Notice, Waypoint
 from auv_mcm.settings.vehicle_settings import VehicleConfig
 from auv_mcm.source import AnnouncedContact
+from drivers.plugin_records import clean_counters
 from drivers.vehicle.authority import Action, Ask, Authority, AuthorityState, GiveBack
 from drivers.vehicle.dialect import (
     Acknowledged,
@@ -151,7 +152,7 @@ class Pilot(Generic[W]):
 
     @property
     def counters(self) -> Counter[str]:
-        return self._own + self._floor.counters + self._report_queue.counters + self._talker.counters
+        return self._own + self._floor.counters + self._report_queue.counters + clean_counters(self._talker.counters)
 
     def health(self) -> str:
         """Return one line for people and for the health line."""

@@ -23,13 +23,13 @@ from auv_mcm.settings.vehicle_settings import (
     IverSettings,
     ReconSettings,
 )
-from drivers.plugin_device import checked, device_plugin
+from drivers.plugin_device import checked, checked_decoder, device_plugin
 from drivers.vehicle.decoders.bluefin_decoder import BluefinDecoder
 from drivers.vehicle.decoders.can_decoder import CanDecoder
 from drivers.vehicle.decoders.imc_decoder import ImcDecoder
 from drivers.vehicle.decoders.iver_decoder import IverDecoder
 from drivers.vehicle.decoders.recon_decoder import ReconDecoder
-from drivers.vehicle.dialect import Talker, VehicleDecoder
+from drivers.vehicle.dialect import Talker, VehicleDecoder, VehicleMessage
 from drivers.vehicle.talkers.bluefin_talker import BluefinTalker
 from drivers.vehicle.talkers.can_talker import CanTalker
 from drivers.vehicle.talkers.imc_talker import ImcTalker
@@ -88,7 +88,7 @@ def vehicle_of(plugin: Plugin) -> VehicleKind:
             f"{remedy(plugin)}"
         )
     return kind._replace(
-        make_decoder=checked(plugin, kind.make_decoder, VehicleDecoder),
+        make_decoder=checked_decoder(plugin, kind.make_decoder, VehicleDecoder, VehicleMessage),
         make_talker=checked(plugin, kind.make_talker, Talker),
     )
 

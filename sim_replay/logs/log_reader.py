@@ -21,6 +21,7 @@ from auv_mcm.records import NavSample, Notice, Ping, SourceEvent
 from auv_mcm.safe_files import open_regular
 from auv_mcm.settings.config import Config
 from auv_mcm.settings.plugins import Plugin, find_plugins, load_plugin, plugin_problem, remedy
+from drivers.plugin_records import check_record, clean_counters, own_samples
 
 log = logging.getLogger(__name__)
 
@@ -169,6 +170,7 @@ class AddedLog:
         self._path, self._plugin, self._events, self._config = path, plugin, reader.events, config
         self._size_bytes = path.stat().st_size
         self._counters: Counter[str] = Counter()
+        self._n_failed = 0
         self._file: BinaryIO | None = None
 
     @property
@@ -184,7 +186,7 @@ class AddedLog:
 
     @property
     def counters(self) -> Counter[str]:
-        return self._counters
+        return clean_counters(self._counters) + Counter({"reader.failed": self._n_failed})
 
     def first_time_s(self) -> float:
         """Find the time of the first ping, s since 1970. Raises BadInputError for a log that cannot be used."""
@@ -192,23 +194,22 @@ class AddedLog:
         for event in self:
             if isinstance(event, Ping) and math.isfinite(event.time_s):
                 return event.time_s
-            failure = event.text if isinstance(event, Notice) else failure
+            failure = event.text if isinstance(event, Notice) and event.code == "log_reader_failed" else failure
         raise BadInputError(failure or f"{self._path} holds no ping. Check that a sonar was connected.")
 
     def __iter__(self) -> Iterator[SourceEvent]:
-        self._counters = Counter()
+        self._counters, self._n_failed = Counter(), 0
         n_events = 0
         with open_regular(self._path) as self._file:
             try:
                 for event in self._events(self._path, self._file, self._config, self._counters):
-                    if not isinstance(event, Ping | NavSample | Notice):
-                        raise TypeError(f"an event is a {type(event).__name__}, not a Ping, NavSample or Notice")
-                    yield event
+                    check_record(event, Ping, NavSample, Notice)
+                    yield own_samples(event) if isinstance(event, Ping) else event
                     n_events += 1
             except (AuvMcmError, OSError):
                 raise
-            except Exception as error:  # code of others raises whatever it likes
-                self._counters["reader.failed"] += 1
+            except (Exception, SystemExit) as error:  # code of others raises whatever it likes
+                self._n_failed = 1
                 log.exception("the reader %s failed", self._plugin)
                 text = (
                     f"{self._path} was read up to event {n_events} only: {self._plugin} failed with {error!r}. "

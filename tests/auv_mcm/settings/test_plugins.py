@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import importlib.metadata
+import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from auv_mcm.clock import Stamp
 from auv_mcm.commands import read_config
 from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.records import Notice, Ping
@@ -216,6 +218,111 @@ def test_the_schema_names_the_built_in_devices_and_allows_others() -> None:
     assert Config().ports == ()
 
 
+DRIVER = """
+import math, sys
+from collections import Counter
+import numpy as np
+from auv_mcm.records import EchoTrace, NavSample
+from drivers.navigation.nav_decoder import NavFix
+from drivers.sonar.sonar_decoder import SonarFrame
+from drivers.sonar.sonars import SonarDevice
+class Decoder:
+    counters = {counters}
+    def feed(self, data, stamp):
+        side = EchoTrace(samples=np.arange(9.0), first_range_m=0.05, spacing_m=0.1)
+        frame = SonarFrame(number=1, port=side, starboard=side, transfer=None, received=stamp, n_bytes=9)
+        fix = NavFix(source="one", received=stamp, latitude_deg=43.0, longitude_deg=5.0)
+        return {given}
+    def finish(self):
+        return []
+IT = {made}
+"""
+MADE = {SONAR: "SonarDevice(lambda sonar: Decoder(), lambda settings: ())", NAVIGATION: "lambda source: Decoder()"}
+
+
+def driven(site: Path, group: str, given: str, counters: str = "Counter()") -> PortIntake:
+    text = DRIVER.format(given=given, counters=counters, made=MADE[group])
+    write_package(site, "mine", {group: {"mine": "mine:IT"}}, {"mine": text})
+    return intake_of("mine")
+
+
+@pytest.mark.parametrize(
+    ("group", "given", "why"),
+    [
+        (
+            SONAR,
+            "[replace(frame, altitude_m=None)]",
+            "SonarFrame.altitude_m is a NoneType None, not a number; NaN where",
+        ),
+        (SONAR, "[replace(frame, number=None)]", "SonarFrame.number is a NoneType None, not a whole number"),
+        (
+            SONAR,
+            "[replace(frame, port=replace(side, samples=[1, 2]))]",
+            "SonarFrame.port.samples is a list [1, 2], not a plain numpy array (n,) of real numbers",
+        ),
+        (
+            SONAR,
+            "[replace(frame, port=replace(side, samples=np.zeros((2, 9))))]",
+            "SonarFrame.port.samples is a ndarray (2, 9) of float64, not a plain numpy array (n,)",
+        ),
+        (SONAR, "[replace(frame, transfer='log')]", "SonarFrame.transfer is a str 'log', not one of 'amplitude', "),
+        (SONAR, "[fix]", "a NavFix was given, not a SonarFrame, SonarReply or Notice"),
+        (SONAR, "sys.exit(3)", "it called sys.exit(3)"),
+        (NAVIGATION, "[NavSample(time_s=1.0, latitude_deg=43.0)]", "a NavSample was given, not a NavFix"),
+        (NAVIGATION, "[{'latitude_deg': 43.0}]", "a dict was given, not a NavFix"),
+        (NAVIGATION, "[replace(fix, latitude_deg=None)]", "NavFix.latitude_deg is a NoneType None, not a number"),
+        (NAVIGATION, "[replace(fix, received=None)]", "NavFix.received is a NoneType None, not a Stamp"),
+    ],
+)
+def test_what_a_driver_may_not_give_is_named_by_its_field_and_package(
+    site: Path, group: str, given: str, why: str
+) -> None:
+    intake = driven(site, group, given.replace("replace(", "__import__('msgspec').structs.replace("))
+    (notice,) = intake.feed("one", b"x", Stamp(0, 0))
+    assert isinstance(notice, Notice)
+    assert notice.code == "decoder_failed"
+    assert why in notice.text
+    assert (
+        "lost. Update or uninstall mine 1.2, or report it to its makers with the log and the recording." in notice.text
+    )
+    assert intake.counters["port.one.decoder.failed"] == 1
+
+
+@pytest.mark.parametrize("counters", ["{'mine.messages': np.int64(2), 3: 1, 'mine.share': None}", "None"])
+def test_counters_of_a_driver_can_be_added_and_written_whatever_they_are(site: Path, counters: str) -> None:
+    intake = driven(site, NAVIGATION, "[fix]", counters)
+    intake.feed("one", b"x", Stamp(0, 0))
+    counted = json.loads(json.dumps(intake.counters))
+    expected = {} if counters == "None" else {"port.one.mine.messages": 2, "port.one.3": 1}
+    assert {name: n for name, n in counted.items() if name.startswith("port.")} == expected
+
+
+def test_a_decoder_that_cannot_be_made_again_goes_on(site: Path) -> None:
+    made = "made.append(1) or (Decoder() if len(made) == 1 else 1 / 0)"
+    given = "[frame] if data == b'y' else 1 / 0"
+    text = DRIVER.format(given=given, counters="Counter()", made=f"SonarDevice(lambda sonar: {made}, lambda s: ())")
+    write_package(site, "mine", {SONAR: {"mine": "mine:IT"}}, {"mine": "made = []\n" + text})
+    intake = intake_of("mine")
+    assert [type(event) for data in (b"x", b"y") for event in intake.feed("one", data, Stamp(0, 0))] == [Notice, Ping]
+
+
+def test_a_driver_may_use_one_buffer_for_all_pings(site: Path) -> None:
+    given = "BUFFER.fill(data[0]) or [__import__('msgspec').structs.replace(frame, port=replaced(side))]"
+    text = DRIVER.format(given=given, counters="Counter()", made=MADE[SONAR])
+    replaced = "\nBUFFER = np.zeros(9)\ndef replaced(side):\n"
+    replaced += "    return __import__('msgspec').structs.replace(side, samples=BUFFER)\n"
+    write_package(site, "mine", {SONAR: {"mine": "mine:IT"}}, {"mine": text + replaced})
+    intake = intake_of("mine")
+    pings = [event for data in (b"\1", b"\2") for event in intake.feed("one", data, Stamp(0, 0))]
+    assert [event.port.samples[0] for event in pings if isinstance(event, Ping) and event.port] == [1, 2]
+
+
+def test_a_plug_in_that_ends_the_program_at_import_is_named(site: Path) -> None:
+    write_package(site, "mine", {SONAR: {"mine": "mine:IT"}}, {"mine": "import sys\nsys.exit(3)"})
+    with pytest.raises(UsageError, match=r"mine:IT cannot be imported \(SystemExit: 3\)"):
+        intake_of("mine")
+
+
 # --- logs ---
 
 
@@ -238,11 +345,12 @@ def test_a_reader_that_does_not_work_is_named_where_no_format_is_recognised(site
 
 
 READER = """
-from auv_mcm.records import Ping
+import numpy as np
+from auv_mcm.records import NavSample, Notice, Ping
 from sim_replay.logs.log_reader import LogReader
 def events(path, file, config, counters):
     yield Ping(number=1, time_s=1.7e9, port=None, starboard=None)
-    counters["mine.seen"] += 1
+    counters["mine.seen"] += np.int64(1)
     {then}
 IT = LogReader("mine", lambda head: {recognises}, events)
 """
@@ -264,7 +372,17 @@ def test_a_log_that_two_packages_read_is_refused(site: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("then", "why"), [("raise KeyError(3)", r"KeyError\(3\)"), ("yield 3", "TypeError.*an event is a int")]
+    ("then", "why"),
+    [
+        ("raise KeyError(3)", r"KeyError\(3\)"),
+        ("raise SystemExit(3)", r"SystemExit\(3\)"),
+        ("yield 3", "TypeError.*a int was given, not a Ping, NavSample or Notice"),
+        (
+            "yield NavSample(time_s=1.0, latitude_deg=None)",
+            "TypeError.*NavSample.latitude_deg is a NoneType None, not a number; NaN where it is not known",
+        ),
+        ("yield Ping(number=2, time_s=None, port=None, starboard=None)", "TypeError.*Ping.time_s is a NoneType None"),
+    ],
 )
 def test_a_reader_that_fails_within_a_log_ends_it_with_a_notice(site: Path, then: str, why: str) -> None:
     write_package(site, "mine", {LOGS: {"mine": "mine:IT"}}, {"mine": READER.format(recognises="True", then=then)})
@@ -275,8 +393,17 @@ def test_a_reader_that_fails_within_a_log_ends_it_with_a_notice(site: Path, then
     assert isinstance(notice, Notice)
     assert (ping.number, notice.code) == (1, "log_reader_failed")
     assert re.search(rf"was read up to event 1 only: mine \(auv_mcm.logs\) of mine 1.2 failed with {why}", notice.text)
-    assert mission.counters() == {"mine.seen": 1, "reader.failed": 1}
+    assert json.dumps(mission.counters()) == '{"mine.seen": 1, "reader.failed": 1}'
     assert mission.fraction_done == 1.0
+
+
+def test_a_log_without_a_ping_is_not_blamed_on_what_its_reader_remarks(site: Path) -> None:
+    text = READER.replace("1.7e9", "float('nan')")
+    then = "yield Notice(code='mine.old', text='written by version 2')"
+    write_package(site, "mine", {LOGS: {"mine": "mine:IT"}}, {"mine": text.format(recognises="True", then=then)})
+    (site / "file").write_bytes(b"no log at all")
+    with pytest.raises(BadInputError, match=r"holds no ping\. Check that a sonar was connected"):
+        RecordedMission([site / "file"], Config())
 
 
 def test_the_check_lists_what_other_packages_add(site: Path) -> None:
