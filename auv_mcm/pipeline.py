@@ -10,7 +10,6 @@ cost.
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -44,13 +43,11 @@ from auv_mcm.records import (
     Contact,
     CoveragePatch,
     Detection,
-    EchoTrace,
     NavSample,
     Notice,
     Ping,
     PipelineEvent,
     SeabedCells,
-    Side,
     SourceEvent,
     Tile,
 )
@@ -239,12 +236,13 @@ class Pipeline:
                 return found + self._run(released) if (released := self._intake.let_go()) else found
         self._counts["ping.received"] += 1
         prepared = self._prepare(event)
+        unusable = [notice for side in SIDES for notice in self._samples[side].take_notices(event.place)]
         if prepared is None:
-            return []
+            return [*unusable]
         self._n_new_samples += sum(
             trace.samples.size for trace in (prepared.port, prepared.starboard) if trace is not None
         )
-        events: list[PipelineEvent] = [*self._check_samples(prepared), *self._sampling.add(prepared)]
+        events: list[PipelineEvent] = [*unusable, *self._check_samples(prepared), *self._sampling.add(prepared)]
         with self._timed("law"):
             verdict = self._law.add(prepared)
         if self._waterfall is None:
@@ -278,7 +276,7 @@ class Pipeline:
 
     def _prepare(self, ping: Ping) -> Ping | None:
         """Strip the ping of what cannot be an echo trace; None if nothing is left."""
-        port, starboard = self._usable(ping.port, "port"), self._usable(ping.starboard, "starboard")
+        port, starboard = self._samples["port"].usable(ping.port), self._samples["starboard"].usable(ping.starboard)
         if port is None and starboard is None:
             self._counts["ping.without_samples"] += 1
             return None
@@ -291,15 +289,6 @@ class Pipeline:
         return [
             n for side in SIDES if (t := traces[side]) is not None for n in self._samples[side].check(t, ping.place)
         ]
-
-    def _usable(self, trace: EchoTrace | None, side: Side) -> EchoTrace | None:
-        if trace is None:
-            return None
-        metric = math.isfinite(trace.first_range_m) and math.isfinite(trace.spacing_m) and trace.spacing_m > 0.0
-        if trace.samples.ndim != 1 or trace.samples.shape[0] < 2 or trace.samples.dtype.kind not in "uif" or not metric:
-            self._counts["ping.trace_unusable"] += 1
-            return None
-        return self._samples[side].scaled(trace)
 
     def _begin(self, verdict: LawVerdict) -> list[PipelineEvent]:
         """Run the pings that waited for the first verdict, which names their transfer."""

@@ -10,6 +10,7 @@ _MEND: Final = {
     "transfer.unchecked": "set sonar.transfer, as too few samples show what they are",
     "transfer.disagrees": "check sonar.transfer, as the samples look otherwise",
     "transfer.turned": "replay logs of different recorders apart, or set sonar.transfer",
+    "quality.samples_unusable": "check what records or reads the samples, as those of a side cannot be used",
     "contacts.background_unlike": "look at the pictures, as p_mine may be wrong on this floor",
 }
 """What a person can do about notices that question the whole mission, by code; the first two found are named."""
@@ -45,6 +46,8 @@ def to_mend(summary: Mapping[str, Any]) -> list[str]:
     found = [words for code, words in _MEND.items() if code in codes][:_MOST]
     if n_lost := summary.get("counters", {}).get("detect.without_position"):
         found.insert(0, f"record positions, as {n_lost} detections without one are left out")
+    elif (n_far := summary.get("counters", {}).get("navigation.ping_stale", 0)) and not summary.get("searched"):
+        found.insert(0, f"give pings and navigation one clock, as {n_far} pings are not near a position in time")
     point = summary.get("operating_point") or {}
     if point.get("area_too_small") and summary.get("searched"):
         found.append(

@@ -35,6 +35,7 @@ _STILL_S: Final = 12.0  # a unit that gives a fix every 10 s repeats it no longe
 _STILL_WAY_M: Final = 25.0  # reported way meanwhile: five times the error of a usual acoustic fix
 _IN_A_ROW: Final = 20  # samples, as for altitudes of 0
 _ABOVE_SURFACE_M: Final = 5.0  # depth of less than minus this: tide and a cell's offset are smaller
+_TURN_RAD: Final = math.radians(361.0)  # as of the buffer, which refuses more
 _LEAP_S: Final = 60.0  # as of the buffer: less is a pause
 _MOVING_MPS: Final = 0.5  # reported speed; slower, a vehicle may have waited where it is
 _STEP_S: Final = 10.0  # s: of the way made while time leapt, as between two fixes; who paused goes on elsewhere
@@ -63,8 +64,8 @@ class NavigationWatch:
     """Raise notices about navigation that cannot go on so, each once in a mission.
 
     A heading that drifts away from the course, no heading with fixes that scatter, a position that stands still at a
-    reported speed, a time that leaps ahead while the vehicle went on, altitudes below 0, depths above the surface, and
-    a pitch of the wrong sign.
+    reported speed, a time that leaps ahead while the vehicle went on, altitudes below 0, depths above the surface,
+    headings of more than a turn, and a pitch of the wrong sign.
     """
 
     def __init__(self) -> None:
@@ -80,7 +81,7 @@ class NavigationWatch:
         self._last_s = math.nan
         self._last: _Moment | None = None
         self._before_leap: _Moment | None = None
-        self._n_below = {"altitude": 0, "depth": 0}
+        self._n_below = {"altitude": 0, "depth": 0, "heading": 0}
         self._pitch = PitchWatch()
 
     def add(self, sample: NavSample) -> list[Notice]:
@@ -129,13 +130,19 @@ class NavigationWatch:
                 "of contacts are wrong by as much. Check the depth cell's sign, unit and offset."
             )
             found.append(Notice(code="navigation.depth_negative", text=text))
+        if self._is_below("heading", -abs(sample.heading_rad), -_TURN_RAD):
+            text = (
+                f"heading was more than a turn in {_IN_A_ROW} samples in a row, the last {sample.heading_rad:.1f} rad, "
+                "and counts as unknown: the course stands for it. Give it in radians, within a turn."
+            )
+            found.append(Notice(code="navigation.heading_impossible", text=text))
         return found
 
-    def _is_below(self, name: str, value_m: float, low_m: float) -> bool:
+    def _is_below(self, name: str, value: float, low: float) -> bool:
         """Check whether this is the last of so many values in a row below a limit; NaN is none."""
-        if math.isfinite(value_m):
-            self._n_below[name] = self._n_below[name] + 1 if value_m < low_m else 0
-        return math.isfinite(value_m) and self._n_below[name] == _IN_A_ROW
+        if math.isfinite(value):
+            self._n_below[name] = self._n_below[name] + 1 if value < low else 0
+        return math.isfinite(value) and self._n_below[name] == _IN_A_ROW
 
     def _check_heading(self, fix: Fix) -> list[Notice]:
         start = self._chord_start

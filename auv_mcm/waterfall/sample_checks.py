@@ -15,7 +15,7 @@ from auv_mcm.records import EchoTrace, Notice, Side
 # 2^12 above and below the middle sample fit.
 _MAX_EXPONENT: Final = 22
 _N_SOME: Final = 128  # samples that give the exponent of the middle one
-_N_NEGATIVE: Final = 20  # traces in a row: two seconds at 10 Hz, so that a single damaged ping raises nothing
+_N_IN_A_ROW: Final = 20  # traces: two seconds at 10 Hz, so that a single damaged ping raises nothing
 
 
 class SampleCheck:
@@ -31,8 +31,31 @@ class SampleCheck:
         self._scales = full_scale is None
         self._counters = counters
         self._exponent = 0
-        self._n_negative = 0
-        self._reported = False
+        self._n_negative = self._n_unusable = 0
+        self._reported = self._lost = False
+
+    def usable(self, trace: EchoTrace | None) -> EchoTrace | None:
+        """Return the trace, scaled; None where it is none, or no row of two or more samples at known ranges."""
+        if trace is None:
+            return None
+        samples, metric = trace.samples, math.isfinite(trace.first_range_m) and 0.0 < trace.spacing_m < math.inf
+        if samples.ndim == 1 and samples.shape[0] >= 2 and samples.dtype.kind in "uif" and metric:
+            self._n_unusable = 0
+            return self.scaled(trace)
+        self._n_unusable += 1
+        self._counters["ping.trace_unusable"] += 1
+        return None
+
+    def take_notices(self, place: str) -> list[Notice]:
+        """Raise a notice, once, where no trace could be used for a while. place: of the newest."""
+        if self._n_unusable != _N_IN_A_ROW or self._lost:
+            return []
+        self._lost = True
+        text = (
+            f"the samples of {self._side} cannot be used, in {_N_IN_A_ROW} pings in a row: they are fewer than two a "
+            "ping, or not at finite ranges that grow. Nothing is seen there. Check what records or reads them."
+        )
+        return [Notice(code="quality.samples_unusable", text=text, place=place)]
 
     def scaled(self, trace: EchoTrace) -> EchoTrace:
         """Scale the trace where its powers would not fit into float32."""
@@ -58,11 +81,11 @@ class SampleCheck:
             return []
         self._n_negative += 1
         self._counters["quality.trace_all_negative"] += 1
-        if self._n_negative < _N_NEGATIVE or self._reported:
+        if self._n_negative < _N_IN_A_ROW or self._reported:
             return []
         self._reported = True
         text = (
-            f"the samples of {self._side} are negative, in {_N_NEGATIVE} pings in a row. They may be decibels below "
+            f"the samples of {self._side} are negative, in {_N_IN_A_ROW} pings in a row. They may be decibels below "
             "full scale, or signed numbers read with the wrong sign or offset. Check the recorder's sample format and "
             "set sonar.transfer; contacts cannot be relied on until then."
         )

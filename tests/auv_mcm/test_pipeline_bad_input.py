@@ -428,6 +428,19 @@ def test_the_same_contacts_come_of_float_samples_at_any_gain(gain: float) -> Non
     np.testing.assert_allclose(contacts_at_gain(gain), contacts_at_gain(1.0), rtol=0.0, atol=1e-6)
 
 
+@pytest.mark.parametrize(("n_bad", "n_notices"), [(19, 0), (20, 1), (400, 1)])
+def test_a_side_whose_samples_cannot_be_used_is_reported_once(n_bad: int, n_notices: int) -> None:
+    def spoilt(number: int, ping: Ping) -> Ping:
+        assert ping.port is not None
+        lost = 30 <= number < 30 + n_bad
+        return REPLACE(ping, port=REPLACE(ping.port, spacing_m=-ping.port.spacing_m)) if lost else ping
+
+    _, events = run(changed(spoilt))
+    notices = [event for event in events if isinstance(event, Notice) and event.code == "quality.samples_unusable"]
+    assert len(notices) == n_notices
+    assert all("samples of port" in notice.text and notice.place for notice in notices)
+
+
 def test_samples_that_are_all_negative_are_reported() -> None:
     pipeline, events = run(changed(lambda _, p: resampled(p, lambda s: -1.0 - s.astype(np.float32))))
     notices = [event for event in events if isinstance(event, Notice) and event.code == "quality.samples_negative"]

@@ -55,5 +55,10 @@ def test_a_log_without_positions_says_what_that_cost() -> None:
     assert line.endswith("To mend: record positions, as 94 detections without one are left out.")
 
 
+def test_a_log_whose_pings_and_positions_have_two_clocks_says_so() -> None:
+    line = closing_line({"counters": {"navigation.ping_stale": 2634}})
+    assert line.endswith("To mend: give pings and navigation one clock, as 2634 pings are not near a position in time.")
+
+
 def test_a_mission_without_floor_or_odds_has_a_line_too() -> None:
     assert closing_line({}) == "0 contacts called mines; no sea floor searched."

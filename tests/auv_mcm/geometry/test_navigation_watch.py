@@ -67,6 +67,9 @@ LIES: dict[str, Callable[[int, NavSample], NavSample]] = {
         sample, time_s=sample.time_s + (3600.0 if number >= 160 else 0.0)
     ),
     "navigation.altitude_negative": lambda number, sample: structs.replace(sample, altitude_m=-6.0),
+    "navigation.heading_impossible": lambda number, sample: structs.replace(
+        sample, heading_rad=math.degrees(sample.heading_rad)
+    ),
     "navigation.depth_negative": lambda number, sample: structs.replace(sample, depth_m=-40.0),
 }
 
@@ -154,7 +157,7 @@ def test_sound_navigation_is_never_reported(
             time_s=float(state[0]),
             latitude_deg=float(latitude_deg),
             longitude_deg=float(longitude_deg),
-            heading_rad=float(state[3]),
+            heading_rad=float(state[3]) % math.tau,
             speed_mps=float(state[4]),
             altitude_m=5.0,
             depth_m=-0.5,
