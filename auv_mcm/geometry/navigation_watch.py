@@ -132,8 +132,9 @@ class NavigationWatch:
             found.append(Notice(code="navigation.depth_negative", text=text))
         if self._is_below("heading", -abs(sample.heading_rad), -_TURN_RAD):
             text = (
-                f"heading was more than a turn in {_IN_A_ROW} samples in a row, the last {sample.heading_rad:.1f} rad, "
-                "and counts as unknown: the course stands for it. Give it in radians, within a turn."
+                f"heading was more than a turn in {_IN_A_ROW} samples in a row, the last "
+                f"{math.degrees(sample.heading_rad):.0f} degrees, and counts as unknown: the course stands for it. "
+                "Check its unit and offset."
             )
             found.append(Notice(code="navigation.heading_impossible", text=text))
         return found

@@ -142,11 +142,12 @@ class ImageLog:
         sidecar = self.sidecar
         if sidecar.kind != self._sonar.kind:
             yield kind_disagrees(self._path, sidecar, self._sonar)
-        far_m = sidecar.near_range_m + self._pixels.n_pixels * sidecar.pixel_across_m
+        spacing_m, first_m, n_samples = self._grid
+        far_m = first_m + (n_samples - 0.5) * spacing_m
         if far_m > self._sonar.max_range_m:
             text = (
-                f"the image reaches to {far_m:.0f} m, sonar.max_range_m is {self._sonar.max_range_m:g}: what lies "
-                "beyond is left out. Raise sonar.max_range_m to search all of it."
+                f"the image reaches to {far_m:.0f} m of slant range, sonar.max_range_m is "
+                f"{self._sonar.max_range_m:g}: what lies beyond is left out. Raise it to search all of it."
             )
             yield Notice(code="reader.beyond_max_range", text=text, place=str(self._path))
 

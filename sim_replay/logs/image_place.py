@@ -115,7 +115,7 @@ def _read_table(path: Path) -> dict[str, Floats]:
     columns: dict[str, array[float]] = {}
     try:
         text = io.StringIO(read_regular(path, _MAX_TRACK_BYTES).decode("utf-8-sig"), newline="")
-        reader = csv.reader(text)
+        reader = csv.reader(text, skipinitialspace=True)
         names = {name: place for place, name in enumerate(next(reader, []))}
         if missing := [name for name in _TRACK_COLUMNS[:3] if name not in names]:
             raise BadInputError(

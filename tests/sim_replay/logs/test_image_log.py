@@ -189,6 +189,14 @@ def test_a_track_that_a_spreadsheet_saved_with_a_byte_order_mark_is_read(tmp_pat
     assert len(pings(path)) == N_LINES
 
 
+def test_a_track_with_blanks_behind_its_commas_is_read(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", plane())
+    expected = [ping.time_s for ping in pings(beside(tmp_path / "a.npy"))]
+    track = tmp_path / "track.csv"
+    track.write_text(track.read_text().replace(",", ", "))
+    assert [ping.time_s for ping in pings(tmp_path / "a.npy")] == expected
+
+
 def test_grazing_angle_stands_for_altitude(tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", plane())
     path = beside(tmp_path / "a.npy", altitude_m=None, near_grazing_deg=30.0)
@@ -314,9 +322,10 @@ def test_damage_on_the_way_keeps_what_comes_before(tmp_path: Path) -> None:
     assert sum(isinstance(event, Ping) for event in events) == 2048
 
 
-def test_what_lies_beyond_the_range_in_use_is_reported(tmp_path: Path) -> None:
+@pytest.mark.parametrize("changes", [{"near_range_m": 198.0}, {"range": "ground", "altitude_m": 300.0}])
+def test_what_lies_beyond_the_range_in_use_is_reported(changes: dict[str, Any], tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", plane())
-    events = list(open_log(beside(tmp_path / "a.npy", near_range_m=198.0), SAS))
+    events = list(open_log(beside(tmp_path / "a.npy", **changes), SAS))
     assert [event.code for event in events if isinstance(event, Notice)] == ["reader.beyond_max_range"]
 
 
