@@ -35,6 +35,12 @@ Direction = Annotated[float, Meta(ge=-360.0, le=720.0)]
 Decibel = Annotated[float, Meta(ge=-100.0, le=100.0)]
 Length = Annotated[float, Meta(ge=0.0, le=200.0)]
 SizeRange = tuple[Length, Length]
+Frequency = Annotated[float, Meta(ge=10.0, le=3000.0)]  # kHz
+MaxRange = Annotated[float, Meta(gt=1.0, le=1000.0)]  # m
+Samples = Annotated[int, Meta(ge=64, le=20_000)]
+PingRate = Annotated[float, Meta(gt=0.0, le=200.0)]  # Hz
+BeamWidth = Annotated[float, Meta(gt=0.0, le=20.0)]  # degrees
+RangeResolution = Annotated[float, Meta(ge=0.0, le=2.0)]  # m
 InPlane = Annotated[float, Meta(ge=-50_000.0, le=50_000.0)]  # m: farther out the plane departs from the sea floor
 
 
@@ -222,17 +228,17 @@ class Sonar(_Section, frozen=True, kw_only=True):
     by way of the surface, against what the direct echo of the bottom is; left out: none.
     """
 
-    frequency_khz: Annotated[float, Meta(ge=10.0, le=3000.0)] = 450.0
-    range_m: Annotated[float, Meta(gt=1.0, le=1000.0)] = 50.0
-    n_samples: Annotated[int, Meta(ge=64, le=20_000)] = 1024
-    ping_rate_hz: Annotated[float, Meta(gt=0.0, le=200.0)] = 12.0
+    frequency_khz: Frequency = 450.0
+    range_m: MaxRange = 50.0
+    n_samples: Samples = 1024
+    ping_rate_hz: PingRate = 12.0
     sound_speed_mps: Annotated[float, Meta(ge=1400.0, le=1600.0)] = 1500.0
-    beam_width_deg: Annotated[float, Meta(gt=0.0, le=20.0)] = 0.4
+    beam_width_deg: BeamWidth = 0.4
     vertical_beam_width_deg: Annotated[float, Meta(ge=5.0, le=180.0)] = 50.0
     tilt_deg: Annotated[float, Meta(ge=0.0, le=90.0)] = 25.0
     absorption_db_per_km: Annotated[float, Meta(ge=0.0, le=2000.0)] | None = None
     noise_db: Annotated[float, Meta(ge=-100.0, le=40.0)] = -22.0
-    range_resolution_m: Annotated[float, Meta(ge=0.0, le=2.0)] = 0.06
+    range_resolution_m: RangeResolution = 0.06
     speckle_along_track_m: Annotated[float, Meta(ge=0.0, le=5.0)] = 0.0
     looks: Annotated[int, Meta(ge=1, le=64)] = 1
     beam_lines: Annotated[int, Meta(ge=1, le=31)] = 5

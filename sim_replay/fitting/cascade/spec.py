@@ -22,6 +22,7 @@ from auv_mcm.settings.config import Config
 from auv_mcm.settings.strict_yaml import explain_validation_error, load_mapping, read_text
 from sim_replay.fitting.cascade.tiles import Split
 from sim_replay.missions import FIRST_SEED, config_for
+from sim_replay.simulator import scene as limits
 from sim_replay.simulator.objects import USUAL
 from sim_replay.simulator.plan import swath_m
 from sim_replay.simulator.scene import EXACT, TARGET_KINDS, Scatter, Scene, SeabedType, SizeRange, Sonar, TargetKind
@@ -29,6 +30,12 @@ from sim_replay.simulator.scene_file import check_scene, read_scene
 
 _STREAM: Final = 0x53504543  # keeps these random numbers apart from others of the same seed
 _EDGE: Final = 0.95  # of the swath: targets are put no farther out
+_BY_WIDTH: Final[dict[TargetKind, tuple[str, ...]]] = {
+    "cylinder": ("height_m",),
+    "sphere": ("length_m", "height_m"),
+    "truncated_cone": ("length_m",),
+}
+"""Sizes of a kind that its diameter gives, as the simulator draws it."""
 _DEFAULT: Final = resources.files("sim_replay.fitting.cascade") / "default.yaml"
 
 _Factor = Annotated[float, Meta(ge=0.1, le=10.0)]
@@ -101,12 +108,12 @@ class SonarVariant(_Section, frozen=True, kw_only=True):
     What is left out is the scene's, and the default configuration's for the grid.
     """
 
-    frequency_khz: float | None = None
-    range_m: float | None = None
-    n_samples: int | None = None
-    ping_rate_hz: float | None = None
-    beam_width_deg: float | None = None
-    range_resolution_m: float | None = None
+    frequency_khz: limits.Frequency | None = None
+    range_m: limits.MaxRange | None = None
+    n_samples: limits.Samples | None = None
+    ping_rate_hz: limits.PingRate | None = None
+    beam_width_deg: limits.BeamWidth | None = None
+    range_resolution_m: limits.RangeResolution | None = None
     row_spacing_m: Annotated[float, Meta(ge=0.01, le=2.0)] | None = None
     column_spacing_m: Annotated[float, Meta(ge=0.005, le=2.0)] | None = None
 
@@ -338,6 +345,10 @@ def _contradictions(spec: Spec) -> Iterator[str]:
                     f"`seeds.{split}` and `seeds.{other}` share seeds: the same sea floor would be trained on and "
                     "judged by"
                 )
+    for kind, wanted in spec.targets.kinds.items():
+        for name in _BY_WIDTH.get(kind, ()):
+            if getattr(wanted, name) is not None:
+                yield f"`targets.kinds.{kind}.{name}` changes nothing: it goes by the diameter. Give that as `width_m`"
     low, high = spec.altitude_factor
     if low > high:
         yield f"`altitude_factor` is [{low:g}, {high:g}]; the lowest comes first"

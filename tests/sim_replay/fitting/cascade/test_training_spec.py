@@ -167,6 +167,13 @@ SEEDS = "seeds: {train: {first: 600, count: 2}}\n"
             "scenes: [flat]\naltitude_factor: [1.2, 0.8]\n" + SEEDS,
             "`altitude_factor` is [1.2, 0.8]; the lowest comes first",
         ),
+        ("scenes: [flat]\nsonars: [{frequency_khz: 450000}]\n" + SEEDS, "<= 3000.0 - at `sonars[0].frequency_khz`"),
+        ("scenes: [flat]\nsonars: [{n_samples: 0}]\n" + SEEDS, "`int` >= 64 - at `sonars[0].n_samples`"),
+        ("scenes: [flat]\nsonars: [{ping_rate_hz: -1}]\n" + SEEDS, "> 0.0 - at `sonars[0].ping_rate_hz`"),
+        (
+            "scenes: [flat]\ntargets: {kinds: {sphere: {length_m: [0.6, 1]}}}\n" + SEEDS,
+            "`targets.kinds.sphere.length_m` changes nothing: it goes by the diameter. Give that as `width_m`",
+        ),
         ("scenes: [flat]\nsonars: []\n" + SEEDS, "length >= 1 - at `sonars`"),
         ("augmented: [{folder: a, split: train}, {folder: a, split: test}]", "`augmented[1].folder`: a is given twice"),
         ("augmented: [{folder: a, split: learn}]", "Invalid enum value 'learn' - at `augmented[0].split`"),
