@@ -112,7 +112,7 @@ def parse_targets(text: str, place: str) -> TargetLibrary:
     try:
         return msgspec.convert(data, TargetLibrary)
     except msgspec.ValidationError as error:
-        raise UsageError(f"{place}: {explain_validation_error(error, TargetLibrary)}. {_HELP}") from error
+        raise UsageError(f"{place}: {explain_validation_error(error, TargetLibrary, data)}. {_HELP}") from error
 
 
 def mine_words(mine: ExpectedMine) -> str:

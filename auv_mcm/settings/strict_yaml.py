@@ -56,12 +56,17 @@ def load_mapping(text: str, place: str, expected: str) -> dict[Any, Any]:
     return data
 
 
-def explain_validation_error(error: msgspec.ValidationError, kind: type) -> str:
+def explain_validation_error(error: msgspec.ValidationError, kind: type, data: Any = None) -> str:
     """Explain a validation error with the key's path as it stands in the file.
 
     Names the valid values of a choice, and the nearest known key.
 
-    kind: the type that the file was converted to.
+    Parameters
+    ----------
+    kind
+        The type that the file was converted to.
+    data
+        What the file holds, which says the kind of a section that may be of several.
     """
     message = str(error)
     text = message.replace("`$.", "`").replace(" - at `$`", "")
@@ -72,6 +77,7 @@ def explain_validation_error(error: msgspec.ValidationError, kind: type) -> str:
         kinds = [key for here in kinds if isinstance(here, inspect.DictType) for key in _alternatives(here.key_type)]
     unknown = _UNKNOWN.match(message)
     if unknown is not None:
+        kinds = _of_its_tag(kinds, data, at["path"] if at else "")
         return f"{text} ({_known_keys(unknown['name'], kinds, root)})"
     values = [str(value) for here in kinds if isinstance(here, inspect.LiteralType) for value in here.values]
     if not values:
@@ -98,6 +104,18 @@ def _kinds_at(root: inspect.Type, path: str) -> list[inspect.Type]:
     for step in _STEP.finditer(path):
         kinds = [below for kind in kinds for below in _below(kind, step)]
     return kinds
+
+
+def _of_its_tag(kinds: list[inspect.Type], data: Any, path: str) -> list[inspect.Type]:
+    """Leave of several sections that may stand at a path the one that the tag in it names; all where none is named."""
+    for step in _STEP.finditer(path):
+        try:
+            data = data[step["name"] if step["name"] is not None else int(step["index"])]
+        except (KeyError, IndexError, TypeError, ValueError):
+            return kinds
+    given = data if isinstance(data, dict) else {}
+    tagged = [one for one in kinds if isinstance(one, inspect.StructType) and one.tag_field is not None]
+    return [*filter(lambda one: given.get(one.tag_field) == one.tag, tagged)] or kinds
 
 
 def _below(kind: inspect.Type, step: re.Match[str]) -> list[inspect.Type]:

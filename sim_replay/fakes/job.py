@@ -237,4 +237,4 @@ def read_job(path: Path) -> Job | VehicleJob:
     try:
         return msgspec.convert(data, kind)
     except msgspec.ValidationError as error:
-        raise UsageError(f"{path}: {explain_validation_error(error, kind)}") from error
+        raise UsageError(f"{path}: {explain_validation_error(error, kind, data)}") from error

@@ -151,7 +151,7 @@ def parse_scenario(text: str, place: str) -> Scenario:
     try:
         scenario = msgspec.convert(data, Scenario)
     except msgspec.ValidationError as error:
-        raise UsageError(f"{place}: {explain_validation_error(error, Scenario)}; {_EXAMPLE}") from error
+        raise UsageError(f"{place}: {explain_validation_error(error, Scenario, data)}; {_EXAMPLE}") from error
     for problem in _contradictions(scenario):
         raise UsageError(f"{place}: {problem}")
     service_config(scenario, dict.fromkeys(scenario.devices, _ANY_LINK), place)

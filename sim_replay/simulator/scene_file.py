@@ -51,7 +51,7 @@ def parse_scene(text: str, place: str) -> Scene:
         scene = msgspec.convert(data, Scene)
     except msgspec.ValidationError as error:
         raise UsageError(
-            f"{place}: {explain_validation_error(error, Scene)}. See the scenes shipped with the package for examples"
+            f"{place}: {explain_validation_error(error, Scene, data)}. See the scenes shipped with the package"
         ) from error
     check_scene(scene, place)
     return scene

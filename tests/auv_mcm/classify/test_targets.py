@@ -46,6 +46,10 @@ def test_the_list_that_ships_holds_every_kind_of_any_size() -> None:
         ("mines:\n - {kind: sfere}", "did you mean sphere"),
         ("mines:\n - {kind: sphere}\n - {kind: sphere, diameter_m: 9}", r"<= 3.5 - at `mines\[1\].diameter_m`"),
         ("mines:\n - {kind: sphere, diametre_m: 0.9}", "did you mean `diameter_m`"),
+        (
+            "mines:\n - {kind: sphere, length_m: 0.9}",
+            r"`length_m` - at `mines\[0\]` \(known there: kind, name, tolerance_percent, share, diameter_m\)",
+        ),
         ("mines:\n - {kind: sphere, tolerance_percent: 0}", r"`mines\[0\].tolerance_percent`"),
         ("not_listed: 0\nmines:\n - {kind: sphere}", ">= 0.05 - at `not_listed`"),
         ("mines:\n - {diameter_m: 1}", "missing required field `kind`"),
