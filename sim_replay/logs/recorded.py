@@ -74,7 +74,9 @@ class RecordedMission:
             raise BadInputError(
                 "none of the logs can be used:\n" + "\n".join(f"  {notice.text}" for notice in self._notices)
             )
-        found, repeated = without_repeats(sorted(found, key=lambda item: item[:2]), config.sonar.subsystem)
+        # both sides of an image may begin at once
+        found.sort(key=lambda item: (item.first_s, paths[item.place].name, str(paths[item.place])))
+        found, repeated = without_repeats(found, config.sonar.subsystem)
         self._counters["replay.log_repeated"] += len(repeated)
         self._notices += repeated
         self._logs = [item.log for item in found]

@@ -25,7 +25,7 @@ from sim_replay.benches.recorder_files import write_lowrance
 from sim_replay.logs.image_looks import doppler_centroid, mean_of_looks, sub_band, sub_bands
 from sim_replay.logs.image_sidecar import sidecar_path
 from sim_replay.logs.open_log import describe_log, kind_doubt, logs_config, open_log
-from sim_replay.logs.recorded import open_mission
+from sim_replay.logs.recorded import RecordedMission, open_mission
 from sim_replay.logs.xtf_navigation import projection
 from sim_replay.logs.xtf_writer import write_xtf
 from sim_replay.wire_logs import write_jsf, write_session, write_svlog
@@ -327,6 +327,15 @@ def test_what_lies_beyond_the_range_in_use_is_reported(changes: dict[str, Any], 
     np.save(tmp_path / "a.npy", plane())
     events = list(open_log(beside(tmp_path / "a.npy", **changes), SAS))
     assert [event.code for event in events if isinstance(event, Notice)] == ["reader.beyond_max_range"]
+
+
+def test_images_of_both_sides_are_one_mission_in_whatever_order_they_are_named(tmp_path: Path) -> None:
+    for side in ("starboard", "port"):
+        np.save(tmp_path / f"{side}.npy", plane())
+        beside(tmp_path / f"{side}.npy", side=side)
+    both = [tmp_path / "starboard.npy", tmp_path / "port.npy"]
+    named = [[path for path, _ in RecordedMission(paths, SAS).named_logs] for paths in (both, both[::-1])]
+    assert named == [both[::-1]] * 2
 
 
 def test_replay_and_check_take_an_image(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
