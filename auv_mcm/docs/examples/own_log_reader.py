@@ -4,7 +4,7 @@
 
 The format is made up: a .npz archive of numpy arrays with a row for each ping: `time_s` (n,) UTC seconds since 1970,
 the pose (POSE below, each (n,)), and amplitudes `port`, `starboard` (n, n_samples), near to far, up to `range_m` ().
-LOG is written in that format, and the pipeline finds the same contacts in both. In a package, one line of
+LOG is written in that format, and the pipeline finds the same mines in both. In a package, one line of
 pyproject.toml makes `auv-mcm replay` recognise such files by their content:
 
     [project.entry-points."auv_mcm.logs"]
@@ -18,6 +18,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -42,7 +43,7 @@ def events(path: Path, file: BinaryIO, config: Config, counters: Counter[str]) -
         arrays = dict(np.load(file))
         rows = zip(*(arrays[name] for name in ("time_s", "port", "starboard", *POSE)), strict=True)
         step_m = float(arrays["range_m"]) / arrays["port"].shape[1]
-    except (ValueError, KeyError) as error:
+    except (ValueError, KeyError, BadZipFile) as error:
         raise BadInputError(f"{path}: {error}. Write the archive anew") from error
     for number, (time_s, port, starboard, *pose) in enumerate(rows):
         if not math.isfinite(time_s):
