@@ -152,6 +152,9 @@ class EventSpool:
 
     def _run(self) -> None:
         """Write, in a thread of its own, which alone touches the files."""
+        for before in self._last_in_file:  # a run that was killed has not synced the last of it
+            with contextlib.suppress(OSError), before.open("rb") as left:
+                os.fsync(left.fileno())
         path, file = self._new_file()
         unsynced_s, is_last = 0.0, False
         while not is_last:

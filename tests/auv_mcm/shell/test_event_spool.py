@@ -79,6 +79,26 @@ def test_what_a_tear_leaves_is_read_and_what_follows_is_numbered_behind_it(tmp_p
     assert read(tmp_path) == expected(range(1, 14))
 
 
+def test_what_a_killed_run_left_outlives_a_power_cut_before_it_is_fed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What the run before wrote and did not sync is on the disk before contacts that come of it are announced."""
+    left = tmp_path / "events-000001.bin"
+    spooled(tmp_path, EVENTS[:10]).close()
+    synced = []
+    sync = os.fsync
+
+    def noting(descriptor: int) -> None:
+        sync(descriptor)
+        synced.append(os.readlink(f"/proc/self/fd/{descriptor}"))
+
+    monkeypatch.setattr(os, "fsync", noting)
+    spool = EventSpool(tmp_path)
+    spool.flush()
+    spool.close()
+    assert str(left) in synced
+
+
 def test_a_flipped_bit_ends_a_file(tmp_path: Path) -> None:
     path, ends = tmp_path / "events-000001.bin", ends_of_entries(tmp_path, 10)
     data = bytearray(path.read_bytes())
