@@ -54,6 +54,7 @@ class AsciiTalker(ABC):
         self._granted = False
         self._later: list[VehicleEvent] = []  # what was found out while nobody was listening
         self._health = PayloadHealth("starting", "")
+        self._health_s = 0.0  # when it is due
 
     @property
     def counters(self) -> Counter[str]:
@@ -100,7 +101,7 @@ class AsciiTalker(ABC):
             self._let_go(wanted, now_s)
 
     def report_health(self, health: PayloadHealth, now_s: float) -> None:
-        self._health = health
+        self._health, self._health_s = health, now_s
 
     def take_outgoing(self, now_s: float) -> list[bytes]:
         return self._outgoing(now_s) if self._open else []

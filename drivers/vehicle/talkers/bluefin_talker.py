@@ -111,7 +111,7 @@ class BluefinTalker(AsciiTalker):
         self._refuses = False  # by its last word on control, whatever its mission does
         self._commanded = False  # it took a command, or may have, since control was given back last
         self._takes_contacts: bool | None = None  # None: not known yet
-        self._heartbeat_s = self._heard_s = 0.0
+        self._heard_s = 0.0
         self._placed_s = 0.0  # when it reported its position last, or was asked to
 
     def report(self, report: ContactReport, ticket: int, now_s: float) -> None:
@@ -121,7 +121,7 @@ class BluefinTalker(AsciiTalker):
             self._put(_Item(("MCM", report.number), BluefinContact(NAN, report), ticket))
 
     def _greet(self, now_s: float) -> None:
-        self._heartbeat_s = self._heard_s = self._placed_s = now_s
+        self._health_s = self._heard_s = self._placed_s = now_s
         self._ask_for(*_ASKED_FOR)
 
     def _ask_for(self, *names: str) -> None:
@@ -209,8 +209,8 @@ class BluefinTalker(AsciiTalker):
         self._waiting[item.key] = item
 
     def _outgoing(self, now_s: float) -> list[bytes]:
-        if now_s >= self._heartbeat_s:
-            self._heartbeat_s = now_s + _HEARTBEAT_S
+        if now_s >= self._health_s:
+            self._health_s = now_s + _HEARTBEAT_S
             self._put(
                 _Item("STS", BluefinStatus(NAN, "0" if self._health.state == "failure" else "1", self._health_text()))
             )

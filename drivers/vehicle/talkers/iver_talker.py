@@ -61,7 +61,7 @@ class IverTalker(AsciiTalker):
         self._depth_step_m = (1.0 if settings.remote_helm_version >= METRES_SINCE else FOOT_M) / _STEPS
         self._mode = ""
         self._order: IverSteer | None = None
-        self._poll_s = self._health_s = 0.0
+        self._poll_s = 0.0
 
     def report(self, report: ContactReport, ticket: int, now_s: float) -> None:
         if self._open and self._settings.contact_sentence:

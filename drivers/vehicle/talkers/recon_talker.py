@@ -62,14 +62,14 @@ class ReconTalker(AsciiTalker):
         self._reports_wanted = bool(settings.contact_type)
         self._reports = PacedReports()
         self._orders: list[Any] = []  # to be sent next, in this order
-        self._asked_s = self._engage_s = self._alive_s = self._disengage_s = 0.0
+        self._asked_s = self._engage_s = self._disengage_s = 0.0
 
     def report(self, report: ContactReport, ticket: int, now_s: float) -> None:
         if self._open and self._reports_wanted:
             self._reports.add(report)
 
     def _greet(self, now_s: float) -> None:
-        self._alive_s = self._disengage_s = now_s
+        self._health_s = self._disengage_s = now_s
 
     def _forget(self) -> None:
         self._reports.clear()
@@ -115,7 +115,7 @@ class ReconTalker(AsciiTalker):
         if steer.vertical.reference != "depth":
             self._own["recon.command_without_floor"] += 1
             return
-        self._alive_s = now_s + 2.0 * _KEEP_ALIVE_S  # until then the command keeps the connection alive
+        self._health_s = now_s + 2.0 * _KEEP_ALIVE_S  # until then the command keeps the connection alive
         depth_m = max(shallower(steer.vertical, _STEP).value_m, 0.0)
         speed_mps = slower(steer.speed_mps, _STEP)
         self._orders = [ReconHeading(steer.heading_rad), ReconDepth(depth_m), ReconSpeed(speed_mps)]
@@ -147,8 +147,8 @@ class ReconTalker(AsciiTalker):
                 ReconQuery("Depth"),
                 ReconEngage("1"),
             ]  # a REMUS has been seen to heed nothing before it was asked something
-        if now_s >= self._alive_s:
-            self._alive_s = now_s + _KEEP_ALIVE_S
+        if now_s >= self._health_s:
+            self._health_s = now_s + _KEEP_ALIVE_S
             records.append(ReconAlive(self._health_text()))
         report = self._reports.take(now_s)
         if report is not None:

@@ -250,6 +250,16 @@ def test_a_contact_is_reported_within_a_second_also_in_control(name: str) -> Non
 
 
 @every_vehicle
+def test_a_change_of_health_does_not_wait_for_the_next_repetition(name: str) -> None:
+    """The service ends half a second after it has reported that it does."""
+    loop = in_control(name)
+    for health in (PayloadHealth("fault", "it is being stopped"), PayloadHealth("failure", "it ends")):
+        loop.dialect.report_health(health, loop.now_s)
+        loop.run(0.2)
+        assert health.text in loop.vehicle.take_health()[-1]
+
+
+@every_vehicle
 def test_health_is_reported(name: str) -> None:
     loop = Loop(name).run(2.0)
     loop.dialect.report_health(PayloadHealth("failure", "no sonar, *no* pings"), loop.now_s)
