@@ -74,7 +74,7 @@ class Freeze(_Fault, frozen=True, kw_only=True, tag="freeze"):
 
 
 class Offset(_Fault, frozen=True, kw_only=True, tag="offset"):
-    """Add an offset to the reported navigation. Navigation only."""
+    """Add an offset to the reported navigation. Navigation and vehicles only."""
 
     east_m: Annotated[float, Meta(ge=-1e5, le=1e5)] = 0.0
     north_m: Annotated[float, Meta(ge=-1e5, le=1e5)] = 0.0
@@ -163,9 +163,11 @@ class Device(_Record, frozen=True, kw_only=True):
         for fault in self.faults:
             if isinstance(fault, WrongBaud) and not serial:
                 raise ValueError(f"a link '{self.link}' has no baud rate that could be wrong")
-            if isinstance(fault, Freeze | Offset) and (self.is_sonar or self.is_vehicle):
+            of_unit = isinstance(fault, Freeze) or (isinstance(fault, Offset) and not self.is_vehicle)
+            if of_unit and (self.is_sonar or self.is_vehicle):
                 raise ValueError(
-                    f"a device '{self.device}' is not a navigation unit; freeze and offset need one. Remove the fault"
+                    f"a device '{self.device}' is not a navigation unit; freeze needs one, and offset one or a "
+                    "vehicle. Remove the fault"
                 )
             if isinstance(fault, Abort | StopPlan) and self.device != "imc":
                 raise ValueError(

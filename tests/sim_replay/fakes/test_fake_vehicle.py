@@ -27,6 +27,7 @@ from sim_replay.fakes.job import (
     Fault,
     Misreport,
     Nonsense,
+    Offset,
     PowerOff,
     Revoke,
     Stall,
@@ -247,6 +248,14 @@ def test_it_reports_a_wrong_depth_and_no_altitude_from_when_it_is_to(tmp_path: P
     assert host.controller.poses[0].depth_m < 70.0
 
 
+def test_it_reports_a_place_that_is_off_from_when_it_is_to(tmp_path: Path) -> None:
+    async def script(host: Host) -> None:
+        away_deg = host.controller.poses[0].latitude_deg + 0.003
+        await until(lambda: host.controller.poses[-1].latitude_deg > away_deg, host)
+
+    flown(tmp_path, script, Offset(at_s=0.2, north_m=400.0), link="udp")
+
+
 def pose(east_m: float, north_m: float, heading_rad: float = 0.0, time_s: float = 0.0) -> SonarPose:
     return SonarPose(time_s, east_m, north_m, 10.0, heading_rad, 0.0, 0.0, heading_rad, 4.0, -1)
 
@@ -274,6 +283,7 @@ def test_a_target_is_passed_where_it_comes_abeam_on_a_straight_run() -> None:
         ("{a: {device: imc}, nav: {device: pd6, faults: [{do: stall, at_s: 1, after: grant}]}}", "not a vehicle"),
         ("{a: {device: imc, faults: [{do: freeze, at_s: 1}]}}", "not a navigation unit"),
         ("{a: {device: imc}, nav: {device: pd6, faults: [{do: misreport, at_s: 1}]}}", "not a vehicle"),
+        ("{a: {device: imc}, s: {device: jsf, faults: [{do: offset, at_s: 1}]}}", "not a navigation unit"),
     ],
 )
 def test_a_vehicle_that_cannot_be_is_refused(devices: str, named: str, tmp_path: Path) -> None:
