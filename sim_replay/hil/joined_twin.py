@@ -7,6 +7,7 @@ the disk. Events, contacts and coverage have to be the same to the byte.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
@@ -53,6 +54,12 @@ def lost_by_kills(session: Path, restarts: Sequence[Restart]) -> tuple[float, ..
         last_s = max((chunk.stamp.mono_ns / 1e9 for chunk in _left_in(session, number)), default=-math.inf)
         found.append(restart.mono_s - last_s)
     return tuple(found)
+
+
+def recorded_bytes(session: Path) -> Counter[str]:
+    """Count the bytes of input that the recordings of a session hold, by port."""
+    chunks = (chunk for number in range(len(recordings_of(session))) for chunk in _left_in(session, number + 1))
+    return sum((Counter({chunk.port: len(chunk.data)}) for chunk in chunks), Counter())
 
 
 def _lost(console: Sequence[str], session: Path) -> tuple[str, ...]:

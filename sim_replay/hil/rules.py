@@ -136,6 +136,22 @@ class AnnouncedOnce(_Rule, frozen=True, kw_only=True, tag="announced_once"):
     """Expect contacts.jsonl to hold no contact twice for the same event, as after a kill, and one or more in all."""
 
 
+class StoredAsAnnounced(_Rule, frozen=True, kw_only=True, tag="stored_as_announced"):
+    """Expect contacts.geojson to hold each contact as contacts.jsonl has it last, and no other.
+
+    One or more have to be announced, before the last of `restarts_s` where there are any.
+    """
+
+
+class RecordedWhole(_Rule, frozen=True, kw_only=True, tag="recorded_whole"):
+    """Expect the recording to hold as many bytes of a port as came in over its link, and more than 0.
+
+    Of an slcan adapter frames are recorded, not bytes; a start that was killed leaves no count.
+    """
+
+    port: str
+
+
 class FreshHealth(_Rule, frozen=True, kw_only=True, tag="fresh_health"):
     """Expect the time that health.json states to be this near to the service's end."""
 
@@ -305,6 +321,8 @@ Rule: TypeAlias = (
     | AsReplayed
     | JoinedAsTwin
     | AnnouncedOnce
+    | StoredAsAnnounced
+    | RecordedWhole
     | FreshHealth
     | Watched
     | Restarted

@@ -23,11 +23,11 @@ from auv_mcm.shell.recovery import JOURNAL
 from auv_mcm.shell.whole_files import make_directory, write_file
 from sim_replay.fakes.job import Job, VehicleJob
 from sim_replay.hil.evidence import Line, Report, Restart
-from sim_replay.hil.joined_twin import lost_by_kills, problems_of
+from sim_replay.hil.joined_twin import lost_by_kills, problems_of, recorded_bytes
 from sim_replay.hil.power_cut import cut_power
 from sim_replay.hil.process import GRACE_S, Process
 from sim_replay.hil.resources import Sample, health_age_s, pings_waiting, sampled
-from sim_replay.hil.rules import AsReplayed, JoinedAsTwin, Restarted, Steady, Watched
+from sim_replay.hil.rules import AsReplayed, JoinedAsTwin, RecordedWhole, Restarted, Steady, Watched
 from sim_replay.hil.scenario import Kill, Read, Scenario, service_config, service_yaml
 from sim_replay.hil.service_manager import ServiceManager
 from sim_replay.hil.verdict import Evidence, Placed, contacts_of, targets_of
@@ -102,6 +102,7 @@ def run_scenario(read: Read, folder: Path, progress: Callable[[str], None]) -> E
         lost_s=lost_by_kills(results.resolve(), live.restarts) if Restarted in asked else (),
         samples=live.samples,
         managed=live.managed,
+        recorded_bytes=recorded_bytes(results.resolve()) if RecordedWhole in asked else {},
         stored=contacts.get("features", ()),
         journal=_read(results / JOURNAL),
         health_age_s=health_age_s(results / HEALTH, results / "summary.json"),

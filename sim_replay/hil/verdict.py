@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from auv_mcm.geometry.geodesy import LocalFrame
-from sim_replay.hil.announced import announced_in
+from sim_replay.hil.announced import CONTACT, announced_in, stored_otherwise
 from sim_replay.hil.evidence import Line, Report, Restart
 from sim_replay.hil.resources import Sample, steady
 from sim_replay.hil.rules import (
@@ -38,6 +38,7 @@ from sim_replay.hil.rules import (
     NoticeRule,
     OwnPlanAtEnd,
     Passed,
+    RecordedWhole,
     Reopened,
     ReportedAsStored,
     ReportedInTime,
@@ -49,6 +50,7 @@ from sim_replay.hil.rules import (
     Sharper,
     Silence,
     Steady,
+    StoredAsAnnounced,
     SummaryRule,
     TargetsFound,
     Watched,
@@ -86,8 +88,8 @@ class Evidence(NamedTuple):
     service was killed by intent; stopped_s: when it was requested to stop. fence_deg: of the service's configuration.
     restarts: of the service, by intent. not_joined: what is wrong with the joined replay, None where nobody asked.
     ended_s: when the service had ended. lost_s: what each restart cost of the recording. samples: of its processes.
-    stored: features of contacts.geojson. journal: contacts.jsonl. health_age_s: of what
-    health.json states, at the service's end. managed: what the service reported to its manager.
+    stored: features of contacts.geojson. journal: contacts.jsonl. health_age_s: of what health.json states, at the
+    service's end. managed: what the service reported to its manager. recorded_bytes: of input, by port.
     """
 
     exit_code: int | None
@@ -109,6 +111,7 @@ class Evidence(NamedTuple):
     journal: bytes = b""
     health_age_s: float = math.nan
     managed: Sequence[Line] = ()
+    recorded_bytes: Mapping[str, int] = {}
 
 
 class Verdict(NamedTuple):
@@ -185,6 +188,27 @@ def _announced_once(journal: bytes) -> tuple[str, str, bool]:
     return "no contact is announced twice for the same event", found, bool(announced) and not twice
 
 
+def _on_disk(rule: AnnouncedOnce | StoredAsAnnounced | RecordedWhole, evidence: Evidence) -> tuple[str, str, bool]:
+    match rule:
+        case AnnouncedOnce():
+            return _announced_once(evidence.journal)
+        case StoredAsAnnounced():
+            return _stored_as_announced(evidence)
+        case RecordedWhole():
+            came = evidence.summary.get("counters", {}).get(f"port.{rule.port}.link.bytes_in", 0)
+            held = evidence.recorded_bytes.get(rule.port, 0)
+            return f"the recording holds all bytes of port '{rule.port}'", f"{held} of {came}", held == came > 0
+
+
+def _stored_as_announced(evidence: Evidence) -> tuple[str, str, bool]:
+    until_s = evidence.restarts[-1].killed_s if evidence.restarts else math.inf
+    n_before = len({match[1] for line in evidence.lines if line.at_s < until_s and (match := CONTACT.match(line.text))})
+    problems = stored_otherwise(evidence.journal, evidence.stored)
+    problems += [] if n_before else ["none was announced before the last kill"]
+    found = "; ".join(problems) or f"{len(evidence.stored)} contacts, {n_before} of them announced before the last kill"
+    return "contacts are stored as they were announced last", found, not problems
+
+
 def _restarted(rule: Restarted, evidence: Evidence) -> tuple[str, str, bool]:
     expected = f"ready within {rule.ready_within_s:g} s of each kill, {rule.lost_s:g} s of the recording lost at most"
     if not evidence.restarts:
@@ -245,8 +269,8 @@ def _judged(rule: Rule, evidence: Evidence) -> tuple[str, str, bool]:
             return expected, f"{age_s:.1f} s before it", abs(age_s) <= rule.within_s
         case Watched():
             return watched(rule, evidence.managed)
-        case AnnouncedOnce():
-            return _announced_once(evidence.journal)
+        case AnnouncedOnce() | StoredAsAnnounced() | RecordedWhole():
+            return _on_disk(rule, evidence)
         case Restarted():
             return _restarted(rule, evidence)
         case Steady():

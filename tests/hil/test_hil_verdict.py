@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from sim_replay.hil.evidence import Line, Report
+from sim_replay.hil.evidence import Line, Report, Restart
 from sim_replay.hil.rules import (
     AnnouncedOnce,
     AnswersStop,
@@ -20,10 +20,12 @@ from sim_replay.hil.rules import (
     FreshHealth,
     LineRule,
     NoticeRule,
+    RecordedWhole,
     Reopened,
     Rule,
     SameCount,
     SettingsRule,
+    StoredAsAnnounced,
     SummaryRule,
     TargetsFound,
     Watched,
@@ -215,6 +217,41 @@ def test_no_contact_is_announced_twice_for_the_same_event(announced: list[tuple[
     journal = b"".join(json.dumps(record).encode() + b"\n" for record in records)
     assert passes(AnnouncedOnce(), journal=journal) is holds
     assert passes(AnnouncedOnce(), journal=journal + b'{"event": 7') is holds, "what was cut off counts for nothing"
+
+
+@pytest.mark.parametrize(("held", "holds"), [({"a": 900}, True), ({"a": 899}, False), ({}, False)])
+def test_the_recording_has_to_hold_all_that_came_in(held: dict[str, int], holds: bool) -> None:
+    came = {"counters": {"port.a.link.bytes_in": 900}}
+    assert passes(RecordedWhole(port="a"), summary=came, recorded_bytes=held) is holds
+    assert not passes(RecordedWhole(port="b"), summary=came, recorded_bytes=held), "nothing of it came in"
+
+
+def feature(name: str, p_mine: float = 0.69, latitude_deg: float = 43.0) -> dict[str, Any]:
+    properties = {"id": name, "p_mine": p_mine, "time": "2026-01-01T00:00:00.000Z"}
+    return {"geometry": {"coordinates": [5.0, latitude_deg]}, "properties": properties}
+
+
+@pytest.mark.parametrize(
+    ("announced", "stored", "holds"),
+    [
+        ([feature("C00001")], [feature("C00001")], True),
+        ([feature("C00001"), feature("C00001", 0.99)], [feature("C00001", 0.99)], True),
+        ([feature("C00001")], [feature("C00001", 0.99)], False),
+        ([feature("C00001")], [feature("C00001", latitude_deg=43.0001)], False),
+        ([feature("C00001"), feature("C00002")], [feature("C00001")], False),
+        ([feature("C00001")], [feature("C00001"), feature("C00002")], False),
+        ([], [], False),
+    ],
+)
+def test_contacts_have_to_be_stored_as_they_were_announced_last(
+    announced: list[dict[str, Any]], stored: list[dict[str, Any]], holds: bool
+) -> None:
+    records = [{"event": number, "contact": contact} for number, contact in enumerate(announced)]
+    found = {"journal": b"".join(json.dumps(record).encode() + b"\n" for record in records), "stored": stored}
+    lines = [Line(5.0, "contact C00001 new: cylinder, p_mine 0.69, 43.0 5.0, 1 views") for _ in announced]
+    assert passes(StoredAsAnnounced(), lines=lines, **found) is holds
+    assert passes(StoredAsAnnounced(), lines=lines, restarts=[Restart(6.0, 7.0)], **found) is holds
+    assert not passes(StoredAsAnnounced(), lines=lines, restarts=[Restart(4.0, 4.5)], **found), "none to forget"
 
 
 @pytest.mark.parametrize(("age_s", "holds"), [(0.5, True), (-0.5, True), (3600.0, False), (math.nan, False)])
