@@ -42,3 +42,12 @@ class SelfCheckError(AuvMcmError):
     """Report a failed self-check."""
 
     exit_code: ClassVar[int] = 5
+
+
+def first_of(group: BaseExceptionGroup[AuvMcmError]) -> AuvMcmError:
+    """Return the first error of a group, however deep it lies."""
+    error: BaseException = group
+    while isinstance(error, BaseExceptionGroup):
+        error = error.exceptions[0]
+    assert isinstance(error, AuvMcmError)
+    return error

@@ -98,6 +98,11 @@ class LastingPerception:
         self._watching: asyncio.Task[None] | None = None
 
     @property
+    def given(self) -> int:
+        """Return the number of the newest event that was given to feed; what has a higher one came of the end."""
+        return self._given
+
+    @property
     def in_flight(self) -> int:
         """Count messages that the process has not answered yet."""
         return self._perception.in_flight

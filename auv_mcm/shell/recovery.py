@@ -100,7 +100,7 @@ class SessionMemory(msgspec.Struct, frozen=True, kw_only=True):
     """Hold what the service itself goes on from after a restart; perception has its checkpoints.
 
     kind: see `session_kind`. started_s: UTC of the first start. n_starts: how often it was started. elapsed_s: time
-    that it ran. counters: of all but perception. looks: what planning knows.
+    that it ran. counters: of all but perception. looks: what planning knows. is_over: its last contacts are announced.
     """
 
     kind: str
@@ -110,6 +110,7 @@ class SessionMemory(msgspec.Struct, frozen=True, kw_only=True):
     notices: tuple[Notice, ...] = ()
     counters: dict[str, int] = {}
     looks: LooksSoFar = LooksSoFar()
+    is_over: bool = False
 
 
 class Announced(NamedTuple):
@@ -151,6 +152,8 @@ def resumable_session(parent: Path, kind: str, now_s: float, within_h: float) ->
         return None
     if memory.kind != kind:
         return _not_resumed(last, "the program or its configuration is another one")
+    if memory.is_over:
+        return _not_resumed(last, "its last contacts were announced, and would be found twice")
     if age_h > within_h:
         return _not_resumed(last, f"it is {age_h:.0f} h old, more than service.resume_within_h")
     return Unfinished(last, memory)

@@ -28,7 +28,7 @@ from auv_mcm.contacts.contact_store import ContactStore
 from auv_mcm.contacts.coverage_store import CoverageStore
 from auv_mcm.contacts.operating_point import MarkedContacts
 from auv_mcm.contacts.record_file import open_record_file
-from auv_mcm.errors import AuvMcmError, HardwareError
+from auv_mcm.errors import AuvMcmError, HardwareError, first_of
 from auv_mcm.records import Contact, EarlyContact, Ping, SourceEvent, contact_number
 from auv_mcm.settings.config import Config
 from auv_mcm.shell.announcements import CLUTTER, NO_CLUTTER, Announcements
@@ -135,7 +135,7 @@ class Service:
             async with asyncio.TaskGroup() as tasks:
                 await self._work(tasks)
         except* AuvMcmError as group:
-            failure = _first(group)
+            failure = first_of(group)
         finally:
             self._health.close()
             try:
@@ -224,9 +224,12 @@ class Service:
     async def _remember(self) -> None:
         """Keep on disk what a restart has to know of this process."""
         while True:
-            with contextlib.suppress(OSError):  # a disk that is full is reported by who writes what matters
-                await self._on_disk(partial(write_memory, self._folder, self._so_far()))
+            await self._write_memory()
             await asyncio.sleep(_REMEMBER_S)
+
+    async def _write_memory(self) -> None:
+        with contextlib.suppress(OSError):  # a disk that is full is reported by who writes what matters
+            await self._on_disk(partial(write_memory, self._folder, self._so_far()))
 
     def _so_far(self) -> SessionMemory:
         return msgspec.structs.replace(
@@ -247,8 +250,9 @@ class Service:
             self._recorder.close()
             self._report_recording()
             if self._finished is None and self._recorder.counters["session.bytes_recorded"]:
+                is_gone_on_with = self._is_cut_short and not self._memory.is_over
                 why = "the stop came before all was worked off" if self._is_cut_short else _NO_END
-                self._say(in_recording(self._folder, why, is_gone_on_with=self._is_cut_short))
+                self._say(in_recording(self._folder, why, is_gone_on_with=is_gone_on_with))
         self._report_lost_pings()
         self._disk.shutdown()
         with contextlib.suppress(OSError):
@@ -386,6 +390,9 @@ class Service:
             news = [event for event in answer.events if not self._announced_before.has(answer.number, event)]
             if contacts or early:
                 await asyncio.to_thread(self._spool.flush)  # a restart comes to the same contacts
+            if contacts and answer.number > self._perception.given:
+                self._memory = msgspec.structs.replace(self._memory, is_over=True)
+                await self._write_memory()  # what lies in the last tile is not to be found again in a longer one
             if contacts:
                 new = [event for event in news if isinstance(event, Contact)]
                 await self._announcements.keep_contacts(new, answer.number, answer.snippets)
@@ -490,11 +497,3 @@ class Service:
         """Count everything but what perception counts."""
         counters = self._counters + self._source.counters() + Counter({"service.not_spooled": self._spool.n_lost})
         return counters if self._recorder is None else counters + self._recorder.counters
-
-
-def _first(group: BaseExceptionGroup[AuvMcmError]) -> AuvMcmError:
-    error: BaseException = group
-    while isinstance(error, BaseExceptionGroup):
-        error = error.exceptions[0]
-    assert isinstance(error, AuvMcmError)
-    return error

@@ -63,9 +63,15 @@ if __name__ == "__main__":
 
 
 def killed_in(folder: Path, say: Callable[[str], None]) -> None:
-    """Serve 20 pings, until `say` kills all processes."""
-    config = Config(service=ServiceConfig(output_directory=str(folder), stop_within_s=60.0))
-    asyncio.run(Service(config, Ports(events(0, 20)), console=say, make_pipeline=fake.Base).run())
+    """Serve 20 pings and end in order, unless `say` kills all processes."""
+
+    async def run() -> None:
+        config = Config(service=ServiceConfig(output_directory=str(folder), stop_within_s=60.0))
+        service = Service(config, Ports(events(0, 20)), console=say, make_pipeline=fake.Base)
+        asyncio.get_running_loop().call_later(0.3, service.stop)
+        await service.run()
+
+    asyncio.run(run())
 
 
 def kill(folder: Path, at_line: str) -> list[str]:
@@ -191,6 +197,16 @@ def test_a_stop_that_comes_before_all_is_worked_off_leaves_the_rest_to_the_next_
     assert ids(folder) == journal(folder) == EXPECTED[:4]
     assert "The next start goes on with the session" in said[-1]
     assert ids(serve(tmp_path, events(12, 24)).folder) == EXPECTED
+
+
+def test_a_session_killed_once_its_last_contacts_are_announced_is_over(tmp_path: Path) -> None:
+    """What lies in the last tile would otherwise be a second contact of the longer session."""
+    kill(tmp_path, "C9999")
+    folder = (tmp_path / "latest").resolve()
+    assert journal(folder)[-2:] == ["C0018", "C9999"]
+    after = serve(tmp_path, events(20, 40))
+    assert after.folder.resolve() != folder
+    assert f"auv-mcm report {folder}" in " ".join(after.said)
 
 
 def test_a_stop_while_perception_hangs_at_its_start_does_not_wait_for_it(
