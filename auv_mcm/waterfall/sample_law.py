@@ -119,11 +119,12 @@ def _linear_nats(speckle: FloorSpeckle) -> float:
 
 def _power(speckle: FloorSpeckle) -> float:
     """Compute the power of linear samples that is intensity: 2 of amplitude."""
-    if speckle.relative_spread > _SINGLE_LOOK_SPREAD:
-        return float(2.0 * (_SINGLE_LOOK_SPREAD / speckle.relative_spread) ** _WEIBULL_EXPONENT)
-    ratio = speckle.relative_skewness / speckle.relative_spread
+    spread, skewness = speckle.undisturbed or (speckle.relative_spread, speckle.relative_skewness)
+    if spread > _SINGLE_LOOK_SPREAD:
+        return float(2.0 * (_SINGLE_LOOK_SPREAD / spread) ** _WEIBULL_EXPONENT)
+    ratio = skewness / spread
     low, per_spread, high = _ROOT_RATIO
-    exponent = 1.0 - _ROOT_SLOPE * (min(low + per_spread * speckle.relative_spread, high) - ratio)
+    exponent = 1.0 - _ROOT_SLOPE * (min(low + per_spread * spread, high) - ratio)
     return 2.0 / min(max(exponent, _LOWEST_EXPONENT), 1.0)
 
 
