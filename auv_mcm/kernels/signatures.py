@@ -37,6 +37,7 @@ SIGNATURES: Final = {
     "contrast_variances": "i i i i f4 b1 i i f d a a a",
     "field_means": "i i i i f8 f8 f8 f8 i8 i f8 f8 a a a a",
     "icm": "i i i f8 f8 a a",
+    "interference": "i i f8 d d a a a",
     "mean_field": "i i f8 f8 i a a a",
     "pair_costs": "i i u1 i8 i f8 a a a a",
     "ping_windows": "i i i i8 i8 i i8 d a a a a a a a a a a",

@@ -17,6 +17,7 @@ from auv_mcm.waterfall.bottom import BottomTrack, BottomTracker
 from auv_mcm.waterfall.floor_watch import NEAR_M, REACH_M, REACH_SHARE, FloorWatch
 from auv_mcm.waterfall.grid import LEVEL_COLUMNS, AlongTrackGrid, SideImage, Swath
 from auv_mcm.waterfall.ground import Traces, mean_between
+from auv_mcm.waterfall.interference import InterferenceFilter
 from auv_mcm.waterfall.pixel_geometry import PixelGeometry, pixel_geometry, runs
 from auv_mcm.waterfall.quality import TraceChecker
 from auv_mcm.waterfall.radiometry import REFERENCE_PINGS, AngleCurve, GainStepFilter, ping_levels
@@ -56,6 +57,7 @@ class Waterfall:
         self._cutter = TileCutter(config.waterfall, overlap_m)
         self._held: _HeldBlock | None = None
         self._floors = {side: FloorWatch(side, counters) for side in SIDES}
+        self._interference = {side: InterferenceFilter(side, counters) for side in SIDES}
         self._notices: list[Notice] = []
 
     def take_notices(self) -> list[Notice]:
@@ -154,14 +156,16 @@ class Waterfall:
     def _side_image(self, side: Side, traces: Traces, block: PingBlock, geometry: PixelGeometry) -> SideImage:
         first_return_m = geometry.return_m.values[geometry.return_m.row]
         ground = mean_between(traces, geometry.edges_m, geometry.return_m.row)
+        echoes, notices = self._interference[side].cleaned(ground.intensity, ground.valid, block.along_m)
+        self._notices += notices
         turning = self._turning(side, block, first_return_m)
         max_ratio = self._config.waterfall.max_spacing_ratio
         level_row = geometry.level_m.row
         mask = ping_masks(
             ground.valid, ground.saturated, turning, geometry.ground_m, geometry.coarse, level_row, max_ratio
         )
-        positive = ground.valid & (ground.intensity > 0.0)
-        log_intensity = _logarithms(ground.intensity, positive)
+        positive = ground.valid & (echoes > 0.0)
+        log_intensity = _logarithms(echoes, positive)
         learnable = positive & ~ground.saturated
         seabed_level = ping_levels(log_intensity, learnable)
         water_level = self._water_level(traces, first_return_m)
@@ -176,7 +180,7 @@ class Waterfall:
         gains = runs(gain)
         both = runs(level_row * len(gains.values) + gains.row)
         level, corrected = np.divmod(both.values, len(gains.values))
-        intensity = scale_rows(ground.intensity, np.exp(-gains.values[corrected, None] - curve[level]), both.row)
+        intensity = scale_rows(echoes, np.exp(-gains.values[corrected, None] - curve[level]), both.row)
         # A few columns are enough for an angle response, which changes slowly.
         n_columns = mask.shape[1]
         some = np.minimum(np.arange(LEVEL_COLUMNS // 2, n_columns + LEVEL_COLUMNS // 2, LEVEL_COLUMNS), n_columns - 1)

@@ -77,6 +77,7 @@ MEANINGS: Final = {
     "plan.start_pose_unknown": "re-inspection plans not made because the vehicle's last pose is not known",
     "quality.dead": "traces without any signal",
     "quality.floor_not_heard": "pings of a side that show no sea floor: nothing there counts as covered",
+    "quality.interference": "pings with pulses of another sonar, which were taken out",
     "quality.no_samples": "traces without samples",
     "quality.ping_mostly_saturated": "traces with most of their echoes clipped",
     "quality.trace_all_negative": "traces without a positive sample",
