@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Literal, NamedTuple
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
 from msgspec import structs
+from numpy.typing import NDArray
 
 from auv_mcm.errors import UsageError
 from auv_mcm.records import SIDES, EchoTrace, NavSample, Ping, Side
 from sim_replay.simulator.scene import Fault, SampleRecorder
+
+# m of range, of an echo sounder's pulses of half a millisecond, about twenty a second, near a multiple of the ping rate
+_PULSE_M: Final = 0.4
+_PULSES_APART_M: Final = 35.0
+_PULSES_MOVE_M: Final = 1.85
 
 
 class _Beat(NamedTuple):
@@ -29,12 +35,13 @@ def with_faults(
     A navigation sample belongs to the ping that follows it. A lost ping leaves its navigation behind and its number
     unused. A stuck channel repeats what it brought last before, or what it brings first if there is none. A fault acts
     on what the faults before it left: a gain step listed after a stuck channel changes the samples that it repeats.
-    `side` matters to gain_step, stuck_channel and dead_channel.
+    `side` matters to gain_step, stuck_channel, dead_channel and interference.
 
     recorder: what the samples are. The gain changes amplitudes by a factor and logarithms by counts, rounded where
     samples are integers and clipped to `full_scale`, or else to what their type holds.
 
-    Raises UsageError, before the first event, for a gain step in logarithms whose `db_per_count` is not given.
+    Raises UsageError, before the first event, for a gain step or interference in logarithms whose `db_per_count` is not
+    given.
     """
     beats = _beats(events)
     for fault in faults:
@@ -60,7 +67,7 @@ def _beats(events: Iterable[NavSample | Ping]) -> Iterator[_Beat]:
 
 
 def _struck(beats: Iterable[_Beat], fault: Fault, recorder: SampleRecorder) -> Iterator[_Beat]:
-    factor, counts = _gain(fault.gain_db, recorder) if fault.kind == "gain_step" else (1.0, 0.0)
+    factor, counts = _gain(fault, recorder) if fault.kind in ("gain_step", "interference") else (1.0, 0.0)
     last: dict[str, EchoTrace] = {}
     for beat in beats:
         nth = beat.number - fault.at_ping
@@ -78,6 +85,12 @@ def _struck(beats: Iterable[_Beat], fault: Fault, recorder: SampleRecorder) -> I
                     beat,
                     {side: _amplified(trace, factor, counts, recorder.full_scale) for side, trace in traces.items()},
                 )
+            case "interference" if happens:
+                struck = {
+                    side: _with_pulses(trace, beat.number, factor, counts, recorder.full_scale)
+                    for side, trace in traces.items()
+                }
+                yield _bringing(beat, struck)
             case "stuck_channel" if happens:
                 yield _bringing(beat, {side: last.setdefault(side, trace) for side, trace in traces.items()})
             case "dead_channel" if happens:
@@ -106,19 +119,32 @@ def _later(beat: _Beat, step_s: float) -> _Beat:
     return beat._replace(navigation=navigation, ping=ping)
 
 
-def _gain(gain_db: float, recorder: SampleRecorder) -> tuple[float, float]:
+def _gain(fault: Fault, recorder: SampleRecorder) -> tuple[float, float]:
     """Return the factor on the samples, and the counts added after it."""
     if not recorder.samples.startswith("log"):
-        return 10.0 ** (gain_db / 20.0), 0.0
+        return 10.0 ** (fault.gain_db / 20.0), 0.0
     if recorder.db_per_count is None:
         raise UsageError(
-            "a gain step in logarithmic samples needs to know their scale: give `sonar.recorder.db_per_count`"
+            f"a {fault.kind.replace('_', ' ')} in logarithmic samples needs to know their scale: give "
+            "`sonar.recorder.db_per_count`"
         )
-    return 1.0, gain_db / recorder.db_per_count
+    return 1.0, fault.gain_db / recorder.db_per_count
 
 
 def _amplified(trace: EchoTrace, factor: float, counts: float, full_scale: int | None) -> EchoTrace:
-    samples = trace.samples.astype(np.float64) * factor + counts
+    return _recorded(trace, trace.samples.astype(np.float64) * factor + counts, full_scale)
+
+
+def _with_pulses(trace: EchoTrace, number: int, factor: float, counts: float, full_scale: int | None) -> EchoTrace:
+    """Add the pulses of a sounder at a rate of its own, which come at another range in each ping."""
+    samples = trace.samples.astype(np.float64)
+    range_m = trace.first_range_m + trace.spacing_m * np.arange(samples.size)
+    is_pulse = (range_m - number * _PULSES_MOVE_M) % _PULSES_APART_M < _PULSE_M
+    pulse = float(np.median(samples)) * factor + counts
+    return _recorded(trace, np.where(is_pulse, np.maximum(samples, pulse), samples), full_scale)
+
+
+def _recorded(trace: EchoTrace, samples: NDArray[np.float64], full_scale: int | None) -> EchoTrace:
     dtype = trace.samples.dtype
     if dtype.kind in "iu":
         largest = int(np.iinfo(dtype).max)

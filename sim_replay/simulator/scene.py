@@ -358,11 +358,14 @@ class Fault(_Section, frozen=True, kw_only=True):
     """Inject a fault for `n_pings` from ping `at_ping`.
 
     Every other ping is lost, that one first (drop), all are (gap), the gain changes by gain_db (gain_step), one side
-    repeats its last samples (stuck_channel) or is missing (dead_channel), navigation stays away (navigation_loss).
+    repeats its last samples (stuck_channel) or is missing (dead_channel), navigation stays away (navigation_loss),
+    pulses of an echo sounder are heard, gain_db above the middle sample of their ping (interference).
     clock_step: clocks jump by step_s and stay there, whatever n_pings.
     """
 
-    kind: Literal["drop", "gap", "gain_step", "stuck_channel", "dead_channel", "clock_step", "navigation_loss"]
+    kind: Literal[
+        "drop", "gap", "gain_step", "stuck_channel", "dead_channel", "clock_step", "navigation_loss", "interference"
+    ]
     at_ping: Annotated[int, Meta(ge=0)]
     n_pings: Annotated[int, Meta(ge=1)] = 1
     side: Literal["port", "starboard", "both"] = "both"

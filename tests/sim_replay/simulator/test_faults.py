@@ -138,8 +138,27 @@ def test_gain_is_stored_as_the_recorder_stores_it(
     assert trace.samples.tolist() == [0, 100, loudest]
 
 
-def test_a_gain_step_in_logarithms_of_unknown_scale_is_refused_before_the_first_event() -> None:
-    fault = Fault(kind="gain_step", at_ping=1000, gain_db=3.0)
+@pytest.mark.parametrize("samples_are", ["uint16", "log_uint8"])
+def test_interference_is_as_far_above_the_middle_sample_as_stated_and_moves(samples_are: Any) -> None:
+    random = np.random.default_rng(3)
+    recorder = SampleRecorder(samples=samples_are, db_per_count=0.5)
+    echoes = random.integers(50, 60, 1000).astype(np.uint16 if samples_are == "uint16" else np.uint8)
+    trace = EchoTrace(samples=echoes, first_range_m=0.05, spacing_m=0.1)
+    pings = [Ping(number=n, time_s=float(n), port=trace, starboard=trace) for n in range(40)]
+    fault = Fault(kind="interference", at_ping=0, n_pings=40, side="port", gain_db=20.0)
+    heard = [event for event in with_faults(pings, [fault], recorder) if isinstance(event, Ping)]
+    assert all(of(ping, "starboard") == echoes.tolist() for ping in heard)
+    middle = float(np.median(echoes.astype(np.float64)))
+    level = round(10.0 * middle) if samples_are == "uint16" else round(middle + 40.0)
+    struck = [np.flatnonzero(np.array(of(ping, "port")) != echoes).tolist() for ping in heard]
+    assert {of(ping, "port")[k] for ping, where in zip(heard, struck, strict=True) for k in where} == {level}
+    assert 8 <= np.mean([len(where) for where in struck]) <= 16
+    assert len({tuple(where) for where in struck}) == 40
+
+
+@pytest.mark.parametrize("kind", ["gain_step", "interference"])
+def test_a_level_in_logarithms_of_unknown_scale_is_refused_before_the_first_event(kind: Any) -> None:
+    fault = Fault(kind=kind, at_ping=1000, gain_db=3.0)
     with pytest.raises(UsageError, match="db_per_count"):
         next(with_faults(mission(), [fault], SampleRecorder(samples="log_uint8")))
 
@@ -225,7 +244,7 @@ def test_a_stuck_channel_repeats_what_the_faults_before_it_left() -> None:
 faults = st.builds(
     Fault,
     kind=st.sampled_from(
-        ["drop", "gap", "gain_step", "stuck_channel", "dead_channel", "clock_step", "navigation_loss"]
+        ["drop", "gap", "gain_step", "stuck_channel", "dead_channel", "clock_step", "navigation_loss", "interference"]
     ),
     at_ping=st.integers(0, 14),
     n_pings=st.integers(1, 8),
