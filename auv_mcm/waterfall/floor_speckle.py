@@ -26,7 +26,7 @@ _TRIM: Final = 0.05  # share of regions left out at either end: a fish or a wrec
 _STRUCK: Final = 4.0
 """Relative variance over that of the quarter that has least, from which pulses of another sonar strike a region. Of
 even regions of recorded lines and drawn missions 3 % are beyond at the most, 8 to 58 % where there is one."""
-_WHOLE: Final = 2.0  # the same, up to which none does
+_WHOLE: Final = 2.0  # relative variance over that of the tenth that has least, up to which none strikes a region
 _MIN_REGIONS: Final = 24  # that anything is measured from: four pairs of blocks of pings, six regions each. Chosen
 _CLIPPED_SHARE: Final = 0.05  # of a region's samples at its highest count, from which its tail is lost. Chosen
 _MIN_COUNT: Final = 3.0  # mean count of integers, below which rounding hides how they are spread. Chosen
@@ -132,7 +132,7 @@ def _of_undisturbed(halves: Floats) -> tuple[float, float] | None:
     least = [np.quantile(even[:, 0], 0.25) for even in parts]
     if all(np.mean(even[:, 0] > _STRUCK * low) <= _TRIM for even, low in zip(parts, least, strict=True)):
         return None
-    return _joined([even[even[:, 0] <= _WHOLE * low] for even, low in zip(parts, least, strict=True)])
+    return _joined([even[even[:, 0] <= _WHOLE * np.quantile(even[:, 0], 0.1)] for even in parts])
 
 
 def _even(halves: Floats) -> list[Floats]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from auv_mcm.kernels.interference import PINGS, here, lone_echoes, middle_two
 from auv_mcm.records import Notice, Side
 
-_STRONG: Final = 50.0  # intensity over that of the pings around, which shows interference
+_STRONG: Final = 50.0  # intensity over that of the pings around, which shows interference; speckle and glints reach 30
 _WEAK: Final = 10.0  # the same, from which it is taken out; and over that of the block, which shows it
 _BLOCKS: Final = 3  # the newest blocks of pings, which are judged together. Chosen
 _MIN_PINGS: Final = 12

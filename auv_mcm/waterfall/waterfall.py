@@ -158,14 +158,16 @@ class Waterfall:
         ground = mean_between(traces, geometry.edges_m, geometry.return_m.row)
         echoes, notices = self._interference[side].cleaned(ground.intensity, ground.valid, block.along_m)
         self._notices += notices
+        if echoes is not ground.intensity:  # what was taken out is not clipped any more
+            ground = ground._replace(intensity=echoes, saturated=ground.saturated & (echoes == ground.intensity))
         turning = self._turning(side, block, first_return_m)
         max_ratio = self._config.waterfall.max_spacing_ratio
         level_row = geometry.level_m.row
         mask = ping_masks(
             ground.valid, ground.saturated, turning, geometry.ground_m, geometry.coarse, level_row, max_ratio
         )
-        positive = ground.valid & (echoes > 0.0)
-        log_intensity = _logarithms(echoes, positive)
+        positive = ground.valid & (ground.intensity > 0.0)
+        log_intensity = _logarithms(ground.intensity, positive)
         learnable = positive & ~ground.saturated
         seabed_level = ping_levels(log_intensity, learnable)
         water_level = self._water_level(traces, first_return_m)
@@ -180,7 +182,7 @@ class Waterfall:
         gains = runs(gain)
         both = runs(level_row * len(gains.values) + gains.row)
         level, corrected = np.divmod(both.values, len(gains.values))
-        intensity = scale_rows(echoes, np.exp(-gains.values[corrected, None] - curve[level]), both.row)
+        intensity = scale_rows(ground.intensity, np.exp(-gains.values[corrected, None] - curve[level]), both.row)
         # A few columns are enough for an angle response, which changes slowly.
         n_columns = mask.shape[1]
         some = np.minimum(np.arange(LEVEL_COLUMNS // 2, n_columns + LEVEL_COLUMNS // 2, LEVEL_COLUMNS), n_columns - 1)

@@ -101,13 +101,14 @@ def test_single_pings_between_large_shadows_stay() -> None:
     assert all(before is after for before, after in zip(dark, cleaned(dark)[0], strict=True))
 
 
+@pytest.mark.parametrize("level", [100.0, 1e4])
 @pytest.mark.parametrize("every", [1, 2, 3])
-def test_pulses_do_not_change_what_samples_are_taken_for(every: int) -> None:
+def test_pulses_do_not_change_what_samples_are_taken_for(every: int, level: float) -> None:
     random = np.random.default_rng(8)
     intensity = intensity_pings(1, "level")
     for ping in range(0, len(intensity), every):
         start = random.integers(0, intensity.shape[1] - 8)
-        intensity[ping, start : start + 8] = 100.0 * random.gamma(1.0, 1.0, 8)
+        intensity[ping, start : start + 8] = level * random.gamma(1.0, 1.0, 8)
     law = law_of_pings(pings(np.sqrt(intensity)), SonarConfig())
     assert law.is_sure
     assert law.transfer.kind == "amplitude"

@@ -139,6 +139,18 @@ def test_clipped_echoes_are_saturated_and_valid(samples: NDArray[np.float64]) ->
     assert not (masks(found, "starboard") & SATURATED).any()
 
 
+def test_a_clipped_pulse_of_another_sonar_is_no_evidence_of_a_highlight(samples: NDArray[np.float64]) -> None:
+    counts = np.minimum(samples * 20000.0, 32766.0).astype(np.uint16)
+    random = np.random.default_rng(4)
+    for ping in range(0, counts.shape[1], 2):
+        start = random.integers(N_SAMPLES // 3, N_SAMPLES - 20)
+        counts[0, ping, start : start + 16] = 32767
+    found = run(counts)
+    assert found.counters["quality.sample_saturated"] > 16 * 32
+    # 0.8 % where none is taken out; what is left are pulses that meet another's place two pings on
+    assert np.mean((masks(found)[32:-32] & SATURATED) != 0) < 5e-4
+
+
 def turning(samples: NDArray[np.float64], yaw_deg_s: float, pitch_deg_s: float = 0.0) -> Run:
     blocks = []
     for start in range(0, N_PINGS, 32):
