@@ -125,7 +125,7 @@ def _gain(fault: Fault, recorder: SampleRecorder) -> tuple[float, float]:
         return 10.0 ** (fault.gain_db / 20.0), 0.0
     if recorder.db_per_count is None:
         raise UsageError(
-            f"a {fault.kind.replace('_', ' ')} in logarithmic samples needs to know their scale: give "
+            f"`gain_db` of a fault '{fault.kind}' in logarithmic samples needs their scale: give "
             "`sonar.recorder.db_per_count`"
         )
     return 1.0, fault.gain_db / recorder.db_per_count
