@@ -82,8 +82,9 @@ class Host:
         self._nav = text_decoder("nmea0183", "nav")
         self._links: dict[str, Link[bytes]] = {}
 
-    def write(self, words: str) -> None:
-        self._links["vehicle"].write(words.encode() + b"\n")
+    def write(self, words: str) -> bool:
+        """Return whether the link took it: one that is being opened takes nothing."""
+        return self._links["vehicle"].write(words.encode() + b"\n")
 
     def reported(self, what: str) -> list[dict[str, Any]]:
         """Details of what was reported of the controller."""
@@ -208,8 +209,7 @@ def test_a_vehicle_without_power_has_forgotten_everything_and_greets_again(tmp_p
         host.write("REPORT 7 1 0.5")
         host.write("ASK")
         await until(lambda: any(details["do"] == "power_off" for details in host.reported("mended")), host)
-        await until(lambda: host.controller.connections == 2, host)
-        host.write("REPORT 7 1 0.5")
+        await until(lambda: host.controller.connections == 2 and host.write("REPORT 7 1 0.5"), host)
         await until(lambda: len(host.reported("contact")) == 2, host)
 
     host = flown(tmp_path, script, PowerOff(at_s=0.3, for_s=0.3), link="serial")
