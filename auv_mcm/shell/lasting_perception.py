@@ -18,7 +18,7 @@ from collections import Counter, deque
 from collections.abc import Callable
 from functools import partial
 from itertools import islice
-from typing import Final
+from typing import Final, NamedTuple
 
 from auv_mcm.contacts.record_file import RecordFile
 from auv_mcm.errors import AuvMcmError
@@ -46,6 +46,14 @@ _MAX_ENDS: Final = 2
 """Processes that may end at one event: it is the same for the next one, whatever it is, and no more is tried."""
 _MAX_ENDS_AT_START: Final = 4  # and before the first answer or its start, where chance may have ended one as well
 _READ_AT_ONCE: Final = 64  # events read from the spool in one go
+_MAX_NEWEST: Final = 512  # events kept in memory while the spool is read: some seconds of them, 20 MB of pings; chosen
+
+
+class _Asked(NamedTuple):
+    """Hold a request for a plan, and the number of the newest event when it came."""
+
+    after: int
+    request: PlanRequest
 
 
 class LastingPerception:
@@ -84,13 +92,16 @@ class LastingPerception:
         self._handed_first = 0  # number of the newest that any process had
         self._on_handed = on_handed
         self._is_behind = False  # what was given comes from the spool
+        self._newest: deque[Spooled] = deque()  # given since the spool was read last, unless they are too many
+        self._is_whole = False  # all of them are
         self._pings_behind: deque[int] = deque()  # numbers of pings that were given since, and that no process has
         self._awaited: deque[int] = deque()  # numbers of events, in the order of their answers
         self._answered = 0  # number of the newest event that any process answered
         self._answered_here: int | None = None  # number of the newest event that this process answered
         self._ended_at: int | None = None  # the same, of the process before
         self._n_ended_there = 0  # processes in a row
-        self._asked: deque[PlanRequest] = deque()
+        self._asked: deque[_Asked] = deque()  # without an answer yet
+        self._to_ask: deque[_Asked] = deque()  # those of them that this process has not been asked
         self._refeeding: asyncio.Task[None] | None = None
         self._is_finishing = False
         self._reservations = spool.reservations()
@@ -156,19 +167,31 @@ class LastingPerception:
         if room != 1.0:
             self._spool.mark_room(queued.number, room)
         self._given = queued.number
-        if self._is_behind and isinstance(queued.event, Ping):
-            self._pings_behind.append(queued.number)
+        spooled = Spooled(queued.number, queued.event, room)
         if not self._is_behind:
-            await self._hand(self._perception, Spooled(queued.number, queued.event, room))
+            await self._hand(self._perception, spooled)
+        else:
+            self._wait_in_line(spooled)
         while is_patient and self._is_behind:
             await asyncio.sleep(_WATCH_S)
+
+    def _wait_in_line(self, spooled: Spooled) -> None:
+        """Keep an event in memory beside the spool, while those there are few."""
+        if isinstance(spooled.event, Ping):
+            self._pings_behind.append(spooled.number)
+        self._is_whole = self._is_whole and len(self._newest) < _MAX_NEWEST
+        if self._is_whole:
+            self._newest.append(spooled)
 
     def ask(self, request: PlanRequest) -> bool:
         """Request a plan from the contacts known by then. False: none will come."""
         if self._is_finishing:
             return False
-        self._asked.append(request)
-        if not self._is_behind:
+        asked = _Asked(self._given, request)
+        self._asked.append(asked)
+        if self._is_behind:
+            self._to_ask.append(asked)
+        else:
             self._perception.ask(request)  # a process that is dead is replaced, and that one asked again
         return True
 
@@ -225,11 +248,17 @@ class LastingPerception:
             if perception is self._perception:
                 self._awaited.pop()
             raise
-        if perception is self._perception:
-            self._handed = spooled.number
         if spooled.number > self._handed_first:
             self._handed_first = spooled.number
             self._on_handed(spooled.event)
+        if perception is self._perception:
+            self._handed = spooled.number
+            self._ask_until(perception, spooled.number)
+
+    def _ask_until(self, perception: Perception, number: int) -> None:
+        """Request the plans that were asked for up to event `number`: before, it would not know what they are for."""
+        while self._to_ask and self._to_ask[0].after <= number:
+            perception.ask(self._to_ask.popleft().request)
 
     def _leave_numbers_out(self, perception: Perception, number: int) -> None:
         """Reserve what is to be reserved before event `number`."""
@@ -271,6 +300,7 @@ class LastingPerception:
         log.warning("%s It is started again and goes on from its last checkpoint.", error)
         self._perception = self._make()
         self._awaited.clear()
+        self._to_ask = deque(self._asked)
         if self._spool.n_lost:  # it is not fed all that those announced came of
             self.reserve(self._n_announced)
 
@@ -280,21 +310,34 @@ class LastingPerception:
         self._refeeding = asyncio.create_task(self._refeed(self._perception))
 
     async def _refeed(self, perception: Perception) -> None:
-        """Feed what was spooled behind the checkpoint, until all that was given is with the process."""
-        while self._handed < (until := self._given):
-            await asyncio.to_thread(self._spool.flush)
-            entries = self._spool.read(self._handed, until)
-            while batch := await asyncio.to_thread(list, islice(entries, _READ_AT_ONCE)):
-                for spooled in batch:
-                    with contextlib.suppress(ValueError):  # a ping too large, which was reported when it came
-                        await self._hand(perception, spooled)
-            self._handed = until
+        """Feed what was spooled behind the checkpoint, until all that was given is with the process.
+
+        What comes while the spool is read is fed from memory: new events can come faster than a slow disk is read.
+        """
+        self._is_whole = False
+        while not self._is_whole:
+            until = self._given
+            self._newest.clear()
+            self._is_whole = True
+            await self._feed_spooled(perception, until)
+            while self._newest:
+                with contextlib.suppress(ValueError):  # a ping too large, which was reported when it came
+                    await self._hand(perception, self._newest.popleft())
+        self._handed = self._given
         self._is_behind = False
         self._pings_behind.clear()  # of those that the disk did not take, too
-        for request in self._asked:  # not before: it would not know yet what the plan is for
-            perception.ask(request)
+        self._ask_until(perception, self._given)
         if self._is_finishing:
             await self._finish(perception)
+
+    async def _feed_spooled(self, perception: Perception, until: int) -> None:
+        await asyncio.to_thread(self._spool.flush)
+        entries = self._spool.read(self._handed, until)
+        while batch := await asyncio.to_thread(list, islice(entries, _READ_AT_ONCE)):
+            for spooled in batch:
+                with contextlib.suppress(ValueError):  # as in `_refeed`
+                    await self._hand(perception, spooled)
+        self._handed = until
 
     async def _commit(self, number: int) -> None:
         """Have a checkpoint count, and let go of what it and the one before hold. All before it was announced."""

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import os
+import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from auv_mcm.records import SourceEvent
+from auv_mcm.shell.event_spool import EventSpool, Spooled, read_events
 from auv_mcm.shell.perception_chain import MakePipeline
 from auv_mcm.source import EventSink
 from tests.auv_mcm.shell import fake_pipelines as fake
@@ -89,3 +92,36 @@ def test_pings_that_come_while_perception_is_replaced_count_as_waiting_so_that_w
     assert counters["perception.restarted"] == 1
     assert counters["ping.received"] + counters.get("service.ping_dropped", 0) == 300
     assert counters["service.work_shed"] > 0
+
+
+class SlowlyRead(Events):
+    """Gives a few events, once perception has failed three whenever the spool is read, and at last the others."""
+
+    n_given = n_wanted = n_reads = 0
+    patience = 200  # looks at whether it is read again
+
+    async def _give(self, event: SourceEvent, sink: EventSink) -> None:
+        await super()._give(event, sink)
+        self.n_given += 1
+        while self.n_given >= 12 and self.n_given >= self.n_wanted and self.patience:
+            await asyncio.sleep(0.01)
+            self.patience -= self.n_reads > 0
+
+    def read(self, spool: EventSpool, after: int, until: int) -> Iterator[Spooled]:
+        self.n_reads += 1
+        self.n_wanted = self.n_given + 3
+        while self.n_given < min(self.n_wanted, len(self._events)):
+            time.sleep(0.001)
+        yield from read_events(spool._folder, after, until)
+
+
+def test_perception_that_was_replaced_catches_up_though_events_come_whenever_the_disk_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = SlowlyRead(mission(100), lossless=False)
+    monkeypatch.setattr(EventSpool, "read", lambda spool, after, until: source.read(spool, after, until))
+    monkeypatch.setenv("FAILED_ONCE", str(tmp_path / "failed"))
+    results = serve(tmp_path / "out", source, fake.DyingOnce)
+    counters = summary(results)["counters"]
+    assert (counters["perception.restarted"], counters["ping.received"]) == (1, 100)
+    assert source.n_reads <= 3
