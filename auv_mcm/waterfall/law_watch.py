@@ -10,9 +10,11 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
+from msgspec import structs
+from numpy.typing import NDArray
 
 from auv_mcm.intake import equal_counts, nearly_as_many
 from auv_mcm.kernels.ping_windows import BLOCK_PINGS
@@ -80,7 +82,7 @@ class LawWatch:
         self._note_time(ping)
         if self._newest is None or not _repeats(ping, self._newest):
             self._n_pings += 1
-            self._collect(ping)
+            self._collect(_alive(ping))
         self._newest = ping
         if self._transfer is None:
             return self._decide(ping.transfer) if self._is_time_to_decide(ping) else None
@@ -108,6 +110,8 @@ class LawWatch:
 
     def _collect(self, ping: Ping) -> None:
         has_sides = ping.port is not None, ping.starboard is not None
+        if has_sides == (False, False):
+            return
         block = self._open.get(has_sides)
         if block is None or not _is_alike(ping, block[0]):
             block = self._open[has_sides] = []
@@ -212,6 +216,7 @@ def law_of_pings(pings: Sequence[Ping], sonar: SonarConfig) -> SampleLaw:
 
     What `sonar` configures is kept.
     """
+    pings = [ping for ping in map(_alive, pings) if ping.port is not None or ping.starboard is not None]
     starts = np.linspace(0, max(len(pings) - BLOCK_PINGS, 0), _SPREAD_BLOCKS).astype(int)
     runs = [pings[start : start + BLOCK_PINGS] for start in sorted(set(starts.tolist()))]
     whole = [run for run in runs if len(run) == BLOCK_PINGS and all(_is_alike(ping, run[0]) for ping in run)]
@@ -220,6 +225,18 @@ def law_of_pings(pings: Sequence[Ping], sonar: SonarConfig) -> SampleLaw:
     if law.transfer.kind == "log" and sonar.db_per_count is not None:
         return law._replace(transfer=Transfer("log", sonar.db_per_count))
     return law
+
+
+def _alive(ping: Ping) -> Ping:
+    """Take the sides away whose samples are all one number: nothing was received there."""
+    dead = [trace is not None and _is_constant(trace.samples) for trace in (ping.port, ping.starboard)]
+    if not any(dead):
+        return ping
+    return structs.replace(ping, port=None if dead[0] else ping.port, starboard=None if dead[1] else ping.starboard)
+
+
+def _is_constant(samples: NDArray[Any]) -> bool:
+    return samples.size == 0 or bool(samples[0] == samples[-1] and (samples == samples[0]).all())
 
 
 def _repeats(ping: Ping, before: Ping) -> bool:

@@ -50,6 +50,25 @@ def test_a_sonar_that_sends_to_one_side_at_a_time_is_read_as_any_other() -> None
     assert not more
 
 
+@pytest.mark.parametrize("share", [0.1, 0.3])
+@pytest.mark.parametrize("sides", ["port", "both"])
+def test_pings_that_came_to_nothing_leave_the_law_as_it_is(share: float, sides: str) -> None:
+    """Zeros stand for them."""
+    lost = np.random.default_rng(3).random(1024) < share
+    samples = (60.0 * np.sqrt(intensity_pings(4, "spreading", n_pings=1024))).astype(np.uint16)
+    damaged = np.where(lost[:, np.newaxis], 0, samples)
+    other_side = pings(damaged if sides == "both" else samples)
+    given = [
+        structs.replace(ping, starboard=other.port) for ping, other in zip(pings(damaged), other_side, strict=True)
+    ]
+    (_, (transfer, (notice,))), *more = verdicts_of(LawWatch(SonarConfig()), given)
+    assert transfer is not None
+    assert transfer.kind == "amplitude"
+    assert transfer.intensity_power == pytest.approx(2.0, abs=0.3)
+    assert "by odds of" in notice.text
+    assert not more
+
+
 def test_a_law_that_stays_open_is_read_as_amplitude_after_twice_as_many_pings_and_a_person_is_asked() -> None:
     """Spread as little as logarithms are, and skewed upwards as only linear samples are."""
     random = np.random.default_rng(5)
