@@ -24,6 +24,7 @@ from drivers.backlog import Backlog, Chunk
 from drivers.links.can_frame import CanFrame
 from drivers.links.link import Link, LinkState
 from drivers.links.open_link import byte_link, can_link
+from drivers.links.uri import SerialAddress, SlcanAddress
 from drivers.port_intake import NO_PORT, PortIntake
 from drivers.port_stream import pack_can
 from drivers.ports import PortSettings, open_to_all, read_ports, without_sonar
@@ -276,7 +277,9 @@ class _ServedPort:
         if port.vehicle is not None:
             session = int(clock.utc_s()) & 0xFFFFFFFF
             talker = talker_of(port.device, port.vehicle, secrets.randbelow)
-            pilot = Pilot(talker, config.vehicle, session=session, turn_radius_m=config.plan.turn_radius_m)
+            baud = port.address.baud if isinstance(port.address, SerialAddress | SlcanAddress) else 0
+            radius_m = config.plan.turn_radius_m
+            pilot = Pilot(talker, config.vehicle, session=session, turn_radius_m=radius_m, baud=baud)
             self.vehicle = PortPilot(port.name, pilot, self._send_to_vehicle, clock)
 
     @property

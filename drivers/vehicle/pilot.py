@@ -101,7 +101,7 @@ class Pilot(Generic[W]):
     """Pilot one vehicle. W: bytes, or CanFrame on a bus.
 
     session: of the run that numbers its contacts. turn_radius_m: of vehicles that are steered by heading, through the
-    water.
+    water. baud: of a serial line, 0 for another.
 
     counters: those of the talker; vehicle.refused.REASON (what was not to be sent, once per plan and reason),
     vehicle.requested, .granted, .withheld, .returned, .commands, .led_up (a safe depth before control goes back),
@@ -110,7 +110,9 @@ class Pilot(Generic[W]):
     Raises UsageError for a fence that encloses no area.
     """
 
-    def __init__(self, talker: Talker[W], config: VehicleConfig, *, session: int, turn_radius_m: float = 10.0) -> None:
+    def __init__(
+        self, talker: Talker[W], config: VehicleConfig, *, session: int, turn_radius_m: float = 10.0, baud: int = 0
+    ) -> None:
         self._talker = talker
         self._config = config
         self._turn_radius_m = turn_radius_m
@@ -124,10 +126,9 @@ class Pilot(Generic[W]):
         self._read_back = talker.commands_in if isinstance(talker, ReadsBack) else None
         self._holds_s = config.command_valid_s  # for which the vehicle may obey the last command
         self._last_words: list[W] = []  # to be sent before control goes back
+        acknowledges = Capability.ACKNOWLEDGED in talker.capabilities
         self._report_queue = ReportQueue(
-            session=session,
-            min_p_mine=config.report_min_p_mine,
-            acknowledges=Capability.ACKNOWLEDGED in talker.capabilities,
+            session=session, min_p_mine=config.report_min_p_mine, acknowledges=acknowledges, baud=baud
         )
         self._line_of_sight = LineOfSight(turn_radius_m=turn_radius_m, speed_mps=config.speed_mps)
         self._whereabouts = Whereabouts(config.state_valid_s)
@@ -230,12 +231,11 @@ class Pilot(Generic[W]):
             self._joined = False
         elif state is not None and self._plan is not None:
             self._fly(self._plan, state, now_s)
-        up = self._authority.state != "down"
-        if was_up and not up:
-            self._report_queue.link_lost()
-        if up:
+        if self._authority.state != "down":
             for report, ticket in self._report_queue.take_due(now_s):
                 self._talker.report(report, ticket, now_s)
+        elif was_up:
+            self._report_queue.link_lost()
         outgoing = self._fetched(partial(self._why_not_sent, state, now_s), now_s)
         self._notice_authority()
         last_words, self._last_words = self._last_words, []

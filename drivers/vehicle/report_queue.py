@@ -17,6 +17,7 @@ import msgspec
 from auv_mcm.contacts.contact import depth_m, sigma_m
 from auv_mcm.records import EARLY_NUMBERS, Contact, report_number
 from auv_mcm.source import AnnouncedContact
+from drivers.clocks import wire_delay_s
 from drivers.vehicle.dialect import ContactReport
 
 MAX_CONTACTS: Final = 10_000
@@ -35,6 +36,8 @@ _REVISIONS_PER_START: Final = 128
 _MAX_STARTS: Final = 255  # runs whose revisions 16 bits hold
 _MAX_ANNOUNCED: Final = 32_767  # revisions, as above, that they hold beside
 _NOT_ANNOUNCED: Final = AnnouncedContact(0, 0.0)
+_BYTES_PER_REPORT: Final = 400
+"""Bytes of a serial line for a report: twice what most take, so that commands and health find the other half free."""
 _MAX_TICKET: Final = 65_535  # 16 bits on the bus; 0 stands for none
 
 
@@ -69,17 +72,21 @@ class ReportQueue:
     .reports_not_kept (more than 10,000 contacts), .reports_without_place.
     """
 
-    def __init__(self, *, session: int, min_p_mine: float, acknowledges: bool) -> None:
+    def __init__(self, *, session: int, min_p_mine: float, acknowledges: bool, baud: int = 0) -> None:
         """Start with an empty queue.
 
         session: number of the run. min_p_mine: contacts less likely to be mines are reported only if an earlier
         revision was. acknowledges: the vehicle acknowledges reports; if not, all that was sent is sent again after
-        every loss of the link.
+        every loss of the link. baud: of a serial line (0: another), which gets no more reports than it carries, and
+        fewer unacknowledged ones, for their repetitions take room as well.
         """
         self.counters: Counter[str] = Counter()
         self._session = session
         self._min_p_mine = min_p_mine
         self._acknowledges = acknowledges
+        self._every_s = wire_delay_s(_BYTES_PER_REPORT, baud or None)
+        self._next_s = -math.inf  # when the line has room for a report
+        self._max_unacknowledged = _MAX_UNACKNOWLEDGED_REPEATS if baud else MAX_UNACKNOWLEDGED
         self._contacts: dict[int, _QueuedContact] = {}
         self._pending: dict[int, None] = {}  # contact numbers with a revision to be sent, in order
         self._repeats: dict[int, None] = {}  # contact numbers whose last report is to be sent again, in order
@@ -147,8 +154,10 @@ class ReportQueue:
         """Take the reports to send now, with the link up: new revisions first."""
         self._repeat_unanswered(now_s)
         due: list[DueReport] = []
-        for numbers, room in ((self._pending, MAX_UNACKNOWLEDGED), (self._repeats, _MAX_UNACKNOWLEDGED_REPEATS)):
-            while numbers and len(due) < _MAX_AT_ONCE and len(self._unacknowledged) < room:
+        self._next_s = max(self._next_s, now_s - self._every_s)
+        for numbers, room in ((self._pending, self._max_unacknowledged), (self._repeats, _MAX_UNACKNOWLEDGED_REPEATS)):
+            while numbers and len(due) < _MAX_AT_ONCE and len(self._unacknowledged) < room and self._next_s <= now_s:
+                self._next_s += self._every_s
                 number = next(iter(numbers))
                 self._pending.pop(number, None)
                 self._repeats.pop(number, None)
