@@ -63,7 +63,8 @@ def find_source(paths: Sequence[Path], config: Config | None) -> ExportSource:
     folder = session_of(paths[0])
     if len(paths) == 1 and recordings_of(folder):
         used = config or logs_config([folder]) or Config()
-        return ExportSource((folder,), used, folder if (folder / CONTACTS).is_file() else None)
+        has_ended = all((folder / name).is_file() for name in (SUMMARY, CONTACTS))
+        return ExportSource((folder,), used, folder if has_ended else None)
     if len(paths) == 1 and (folder / SUMMARY).is_file():
         return _replayed(folder, config)
     for path in paths:

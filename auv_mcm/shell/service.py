@@ -159,6 +159,7 @@ class Service:
         kept = self._folder / STATE
         with contextlib.suppress(OSError):  # a disk that is full is reported by who writes what matters
             kept.mkdir(exist_ok=True)
+            (self._folder / SUMMARY).unlink(missing_ok=True)  # of a run before: the session has not ended
             write_memory(self._folder, self._memory)
         self._started_s = self._clock.monotonic_s()
         self._announcements = Announcements(session, self._counters, self._clock, self._console, self._on_disk)

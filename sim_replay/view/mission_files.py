@@ -63,12 +63,13 @@ class ContactFile:
         """GeoJSON features as written, by contact id, in the order of ids."""
 
     def refresh(self) -> None:
-        """Read what is new. A journal's lines are read once each; contacts.geojson counts from when it is there.
+        """Read what is new. A journal's lines are read once each; contacts.geojson counts once the mission has ended.
 
         Raises BadInputError for a damaged file.
         """
         whole, journal = self._folder / CONTACTS, self._folder / JOURNAL
-        state = (_stamp(whole), _stamp(journal))
+        has_ended = not journal.exists() or (self._folder / SUMMARY).exists()  # else it may be of an earlier start
+        state = (_stamp(whole) if has_ended else None, _stamp(journal))
         if state == self._state:
             return
         if state[0] is not None:

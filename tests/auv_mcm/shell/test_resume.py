@@ -199,6 +199,15 @@ def test_a_stop_that_comes_before_all_is_worked_off_leaves_the_rest_to_the_next_
     assert ids(serve(tmp_path, events(12, 24)).folder) == EXPECTED
 
 
+def test_a_session_that_goes_on_is_not_taken_for_one_that_has_ended(tmp_path: Path) -> None:
+    """Its first run was stopped and wrote results; those who read them would miss what came since."""
+    folder = cut_off(tmp_path, events(0, 12), "C0006")
+    assert (folder / "summary.json").exists()
+    kill(tmp_path, "C0012")
+    assert (tmp_path / "latest").resolve() == folder
+    assert not (folder / "summary.json").exists()
+
+
 def test_a_session_killed_once_its_last_contacts_are_announced_is_over(tmp_path: Path) -> None:
     """What lies in the last tile would otherwise be a second contact of the longer session."""
     kill(tmp_path, "C9999")

@@ -183,6 +183,17 @@ def test_contacts_of_a_running_session_come_as_its_journal_grows(tmp_path: Path)
     assert mission.contacts()["p"] == [0.3, 0.9]
 
 
+def test_results_of_a_session_that_goes_on_do_not_hide_what_it_finds(tmp_path: Path) -> None:
+    folder = write_results(tmp_path, [feature(1)])  # as a stop left them; they have no summary since the next start
+    (folder / "contacts.jsonl").write_text("".join(json.dumps({"contact": feature(n)}) + "\n" for n in (1, 2)))
+    mission = shown(folder)
+    assert mission.contacts()["id"] == ["C00001", "C00002"]
+    write_results(tmp_path, [feature(1), feature(2), feature(3)])
+    (folder / "summary.json").write_text("{}")
+    mission.refresh()
+    assert mission.contacts()["id"] == ["C00001", "C00002", "C00003"]
+
+
 def test_a_log_that_has_moved_is_named(tmp_path: Path) -> None:
     (tmp_path / "leg.xtf").write_bytes(b"")
     assert named_logs({"logs": [{"path": "/gone/leg.xtf"}]}, tmp_path) == [tmp_path / "leg.xtf"]
