@@ -28,6 +28,10 @@ _MAX_NOTICES: Final = 20  # per clock: one whose messages have two times would r
 _LATE_FOR_NS: Final = 3_000_000_000  # unless the link stalled, which does not last as long
 _UTC_STEP_NS: Final = 100_000_000  # ns: an offset of UTC that differs by more is a step, by less it is followed slowly
 _UTC_SLEW_PPM: Final = 500  # as fast as NTP slews
+# ns of a step back: the chain takes pings and navigation that go back by less than 1 s for late. Chosen, as pings are
+# up to 0.5 s apart.
+_UTC_SHORT_BACK_NS: Final = 1_500_000_000
+_UTC_WAIT_PPM: Final = 20_000  # until the clock has caught up after it, 50 s for each second; chosen
 _PULSE_PPM: Final = 200  # ppm between pulses and this computer's clock, maximum: crystals are within 100
 
 
@@ -205,7 +209,8 @@ class _Envelope:
 class UtcAnchor:
     """Hold UTC minus monotonic time.
 
-    Follow small differences slowly; a step anchors UTC anew, which `segment` counts.
+    Follow small differences slowly; a step anchors UTC anew, which `segment` counts. After a short one back UTC goes
+    slower until the clock has caught up: nothing that is timed by it goes back.
     """
 
     def __init__(self, source: str) -> None:
@@ -215,9 +220,10 @@ class UtcAnchor:
         self._offset_ns: int | None = None
         self._last_mono_ns = 0
         self._stepped_offset_ns: int | None = None
+        self._waits = False  # for the clock followed, which stepped back
 
     def follow(self, offset_ns: int, mono_ns: int) -> Notice | None:
-        """Take a new reading of UTC minus monotonic time, in order of time. Return a notice when UTC was anchored anew.
+        """Take a new reading of UTC minus monotonic time, in order of time. Return a notice when that stepped.
 
         One reading far off is rejected: a process may be held up between reading two clocks. Two that agree are a step.
         """
@@ -226,25 +232,33 @@ class UtcAnchor:
             return None
         elapsed_ns, self._last_mono_ns = max(mono_ns - self._last_mono_ns, 0), mono_ns
         difference_ns = offset_ns - self._offset_ns
-        if abs(difference_ns) <= _UTC_STEP_NS:
-            max_step_ns = elapsed_ns * _UTC_SLEW_PPM // _MILLION
+        is_small = abs(difference_ns) <= _UTC_STEP_NS
+        self._waits = self._waits and not is_small
+        if is_small or (self._waits and -_UTC_SHORT_BACK_NS <= difference_ns < 0):
+            max_step_ns = elapsed_ns * (_UTC_SLEW_PPM if is_small else _UTC_WAIT_PPM) // _MILLION
             self._offset_ns += max(-max_step_ns, min(difference_ns, max_step_ns))
             self._stepped_offset_ns = None
             return None
         if self._stepped_offset_ns is None or abs(offset_ns - self._stepped_offset_ns) > _UTC_STEP_NS:
             self._stepped_offset_ns = offset_ns
             return None
-        self._offset_ns, self._stepped_offset_ns = offset_ns, None
-        self.segment += 1
+        self._stepped_offset_ns = None
+        self._waits = -_UTC_SHORT_BACK_NS <= difference_ns < 0
+        if self._waits:
+            how = f"come to the new UTC within {-difference_ns / _NS / _UTC_WAIT_PPM * _MILLION:.0f} s"
+        else:
+            self._offset_ns, how = offset_ns, "are by the new UTC"
+            self.segment += 1
         text = (
-            f"UTC of {self._source} stepped by {difference_ns / _NS:+.3f} s. Times from here on are by the new UTC, "
-            "those before are not corrected. Set clocks before the mission, or let them slew."
+            f"UTC of {self._source} stepped by {difference_ns / _NS:+.3f} s. Times from here on {how}, those before "
+            "are not corrected. Set clocks before the mission, or let them slew."
         )
         return Notice(code="utc_stepped", text=text, place=self._source)
 
     def take_over(self, source: str, offset_ns: int, mono_ns: int) -> None:
         """Follow another source's UTC from here on; offset_ns is its UTC minus monotonic time."""
         self._source, self._offset_ns, self._last_mono_ns, self._stepped_offset_ns = source, offset_ns, mono_ns, None
+        self._waits = False
         self.segment += 1
 
     def utc_ns(self, mono_ns: int) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 
@@ -75,6 +76,19 @@ def host_steps(chunks: list[Chunk], at_s: float, by_s: float) -> list[Chunk]:
 
 
 TIMES_S = [0.1 * k for k in range(390)]
+
+
+@pytest.mark.parametrize("by_s", [-0.15, -0.6, -1.05])
+def test_no_ping_comes_twice_where_a_clock_is_set_back_by_little(by_s: float) -> None:
+    """The chain takes what steps back by less than a second for late, and leaves it out."""
+    times_s = [0.1 * k for k in range(900)]
+    pings = host_steps(pings_at(times_s), 5.0, by_s)
+    events, _ = taken_in(ZDA.replace("gives_utc: true", ""), pings)
+    times = [event.time_s for event in events if isinstance(event, Ping)]
+    assert len(times) == len(times_s)
+    assert min(after - before for before, after in itertools.pairwise(times)) > 0.09
+    assert "utc_stepped" in reported(events)
+    assert is_close(ahead_of(events, times_s)[-1], by_s, 0.1)
 
 
 def test_pings_and_navigation_are_in_the_utc_of_zda_however_wrong_this_computers_is() -> None:
