@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import logging
 import math
 import os
@@ -13,6 +14,7 @@ from typing import Final
 from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.safe_files import open_for_append, open_regular, replacing
 from auv_mcm.shell.health.record import Health, parse_health
+from auv_mcm.shell.journal import Journal
 
 log = logging.getLogger(__name__)
 
@@ -32,6 +34,7 @@ class HealthFiles:
         runtime = os.environ.get("RUNTIME_DIRECTORY", "").partition(":")[0]
         self._paths = [session / HEALTH, *([Path(runtime) / HEALTH] if runtime else [])]
         self._history = session / HISTORY
+        self._is_whole = False  # the history, for certain: a kill or a full disk may have cut off its last line
         self._written_s = -math.inf
         self._was: tuple[tuple[str, ...], str] | None = None
         self._has_failed = False
@@ -56,8 +59,12 @@ class HealthFiles:
         """Add the record to the history if it is due. Raises OSError."""
         judged = health.reasons, health.state
         if judged != self._was or now_s - self._written_s >= _HISTORY_S:
+            if not self._is_whole:
+                Journal.cut_torn_line(self._history)
             with open_for_append(self._history) as history:
-                history.write(data)
+                self._is_whole = history.write(data) == len(data)
+            if not self._is_whole:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self._history))
             self._was, self._written_s = judged, now_s
 
     def close(self) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import resource
 from pathlib import Path
 
 import pytest
@@ -37,6 +38,21 @@ def test_the_history_has_each_change_and_one_record_a_minute(tmp_path: Path) -> 
         files.write(record(ILL if 100 <= second < 110 else LATER, utc_s=float(second)), float(second))
     kept = [line.count(b"no_kernels") for line in (tmp_path / HISTORY).read_bytes().splitlines()]
     assert kept == [0, 0, 1, 0, 0]  # at 0, 60, 100, 110 and 170 s
+
+
+def test_a_record_that_a_kill_or_a_full_disk_cut_off_spoils_no_other(tmp_path: Path) -> None:
+    whole, history = record().to_json() + b"\n", tmp_path / HISTORY
+    history.write_bytes(whole + whole[:100])
+    files = HealthFiles(tmp_path)
+    files.write(record(), 0.0)
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (2 * len(whole) + 100, limits[1]))
+    try:
+        files.write(record(), 60.0)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    files.write(record(), 65.0)
+    assert history.read_bytes() == 3 * whole
 
 
 def test_a_disk_that_takes_nothing_costs_one_warning(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
