@@ -17,7 +17,7 @@ from auv_mcm.clock import Stamp
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import Notice
 from auv_mcm.safe_files import open_regular
-from drivers.recording.session_layout import FILE_PATTERN, LOST_TOPIC, Direction, PartEnd, Recorded
+from drivers.recording.session_layout import FILE_PATTERN, LOST_TOPIC, SEQUENCE_SPAN, Direction, PartEnd, Recorded
 from sim_replay.logs.session_parts import recordings_of
 from sim_replay.logs.session_reader import Session
 
@@ -41,6 +41,7 @@ class GrowingSession:
         self.counters: Counter[str] = Counter()
         self.notices: list[Notice] = []
         self._is_cut_off = False  # the file read last
+        self._next_sequence = 0  # in its recording
 
     @property
     def sizes_bytes(self) -> dict[Path, int]:
@@ -70,6 +71,7 @@ class GrowingSession:
                 done.add(path)
                 if recording not in (None, path.parent):
                     yield PartEnd(is_cut_off=self._is_cut_off)
+                    self._next_sequence = 0
                 recording = path.parent
                 yield from self._messages(path)
                 if self._stop.is_set():
@@ -94,7 +96,7 @@ class GrowingSession:
                         if isinstance(held, Channel):
                             channels[held.id] = held
                         elif isinstance(held, Message):
-                            yield from _recorded(held, channels)
+                            yield from self._new(held, channels)
             except _UNREADABLE as error:
                 self._is_cut_off = True
                 if self._stop.is_set():
@@ -102,6 +104,13 @@ class GrowingSession:
                 self.notices.append(
                     Notice(code="session_cut_off", text=f"the rest of {path} cannot be read: {error}", place=str(path))
                 )
+
+    def _new(self, message: Message, channels: dict[int, Channel]) -> Iterator[Recorded]:
+        """Give what a message holds, unless it was read before: where the disk failed it may be recorded twice."""
+        for recorded in _recorded(message, channels):
+            if (message.sequence - self._next_sequence) % SEQUENCE_SPAN < SEQUENCE_SPAN // 2:
+                self._next_sequence = (message.sequence + 1) % SEQUENCE_SPAN
+                yield recorded
 
     def _end_of(self, path: Path) -> str:
         """Say why a file grows no more; empty while it may."""

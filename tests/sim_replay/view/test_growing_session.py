@@ -69,6 +69,21 @@ def test_a_session_that_was_gone_on_with_is_followed_into_its_next_recording(tmp
     assert found == [chunk(0), PartEnd(is_cut_off=True), chunk(1)]
 
 
+def test_what_a_failing_disk_had_recorded_twice_comes_once(tmp_path: Path) -> None:
+    writer = SessionWriter(tmp_path / "recording", SESSION, reserve_bytes=0)
+    for number in (0, 1, 2):
+        writer.add(chunk(number))
+    writer.flush()
+    writer.go_on(1)  # the disk did not say that it has the last two
+    for number in (1, 2, 3):
+        writer.add(chunk(number))
+    writer.close()
+    (tmp_path / "summary.json").write_text("{}")
+    thread, found, _, _ = follow(tmp_path)
+    thread.join(20)
+    assert found == [chunk(number) for number in range(4)]
+
+
 def test_following_ends_when_nobody_wants_it(tmp_path: Path) -> None:
     thread, found, stop, _ = follow(tmp_path)
     stop.set()
