@@ -26,7 +26,7 @@ from drivers.links.link import Link, LinkState
 from drivers.links.open_link import byte_link, can_link
 from drivers.links.uri import SerialAddress, SlcanAddress
 from drivers.port_intake import NO_PORT, PortIntake
-from drivers.port_stream import pack_can
+from drivers.port_stream import pack_can, slow_decoder
 from drivers.ports import PortSettings, open_to_all, read_ports, without_sonar
 from drivers.vehicle.dialect import VehicleMessage
 from drivers.vehicle.pilot import Pilot
@@ -43,6 +43,7 @@ _TICK_S: Final = 0.25  # s between looks at silence, settings and notices
 _ASK_AGAIN_S: Final = 5.0  # a sonar that is silent, as it may have lost its settings with its supply
 _MAX_STATE_NOTICES: Final = 20  # per port; a loose contact has no end of them
 _RESTART_S: Final = 1.0  # s before a reader that failed is started again, so that a lasting fault does not fill the log
+_SLOW_S: Final = 1.0  # s for one chunk: the worst junk takes 0.02 s, and a vehicle waits for a word each second
 _LAST_TURNS: Final = 50  # 0.5 s of decoding at the end
 
 
@@ -98,6 +99,7 @@ class PortSource:
         self._stopped = asyncio.Event()
         self._ended = False
         ports = read_ports(config)
+        self._unsuspected = {port.name: port.device for port in ports}  # of holding up everything else
         self._ports = [_ServedPort(port, self, open_link, clock, config) for port in ports]
         self._vehicle_port = next((port for port in self._ports if port.vehicle is not None), None)
         # from before `run`: its vehicle may be served first
@@ -204,10 +206,14 @@ class PortSource:
         served = (
             self._vehicle_port if self._vehicle_port is not None and chunk.port == self._vehicle_port.name else None
         )
+        began_s = self._clock.monotonic_s()
         if not self._ended:
             self._put(self._intake.feed(*chunk))
         elif served is not None:
             self._intake.decode(*chunk)
+        took_s = self._clock.monotonic_s() - began_s
+        if took_s >= _SLOW_S and (device := self._unsuspected.pop(chunk.port, "")):
+            self.raise_notice(slow_decoder(chunk.port, device, len(chunk.data), took_s))
         if served is not None:
             served.hear(self._intake.heard(chunk.port), chunk.stamp)
 

@@ -148,6 +148,16 @@ class PortStream:
         return [Notice(code="decoder_failed", text=text, place=self._port.name)]
 
 
+def slow_decoder(name: str, device: str, n_bytes: int, took_s: float) -> Notice:
+    """Report a decoder that held up everything else."""
+    text = (
+        f"decoding {n_bytes} bytes of port '{name}' took {took_s:.1f} s, in which nothing else was read or sent: bytes "
+        "of other ports may be lost, and a vehicle takes control back. Look whether this computer is overloaded; if "
+        f"not: {_remedy(device)} with the log. Further ones are not reported."
+    )
+    return Notice(code="decoder_slow", text=text, place=name)
+
+
 def _remedy(device: str) -> str:
     plugin = None if device in DEVICE_NAMES else find_device(device)
     return "This is a defect: report it" if plugin is None else remedy(plugin)

@@ -52,14 +52,14 @@ class Wire(MemoryWire):
 class Bench:
     """Run a source on wires in memory, and collect its events."""
 
-    def __init__(self, text: str = PORTS, silent_s: float = 60.0) -> None:
+    def __init__(self, text: str = PORTS, silent_s: float = 60.0, clock: Clock | None = None) -> None:
         self.config: Config = config_of(text)
         self.wires = {port.name: Wire() for port in read_ports(self.config)}
         self.events: list[SourceEvent] = []
         self.recorded: list[tuple[str, str, Stamp, bytes]] = []
         self.defects: list[Exception] = []
         self._silent_s = silent_s
-        self.source = PortSource(self.config, SystemClock(), self._open)
+        self.source = PortSource(self.config, clock or SystemClock(), self._open)
         self.source.record_with(lambda *chunk: self.recorded.append(chunk))
 
     def _open(self, port: PortSettings, on_bytes: OnBytes, on_state: OnState, clock: Clock) -> Link[bytes]:
@@ -278,6 +278,32 @@ def test_a_link_that_fails_by_a_defect_is_reported_and_opened_anew(monkeypatch: 
     assert bench.codes().count("port_failed") == 1
     counters = bench.source.counters()
     assert counters["port.sonar.failed"] + counters["port.gnss.failed"] == 1
+
+
+def test_a_decoder_that_takes_seconds_is_named_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    class LateClock(SystemClock):
+        late_s = 0.0
+
+        def monotonic_s(self) -> float:
+            return super().monotonic_s() + self.late_s
+
+    def feed(self: PortIntake, port: str, data: bytes, stamp: Stamp) -> list[SourceEvent]:
+        clock.late_s += 3.0 * (port == "gnss")
+        return as_it_is(self, port, data, stamp)
+
+    clock, as_it_is = LateClock(), PortIntake.feed
+    monkeypatch.setattr(PortIntake, "feed", feed)
+    bench = Bench(clock=clock)
+
+    def send() -> None:
+        bench.wires["gnss"].send(b"word")
+
+    def is_read(n_words: int) -> Callable[[], bool]:
+        return lambda: sum(data == b"word" for *_, data in bench.recorded) >= n_words
+
+    bench.run(bench.state_is("gnss", "up"), send, is_read(1), send, is_read(2))
+    (notice,) = [event for event in bench.events if isinstance(event, Notice) and event.code == "decoder_slow"]
+    assert notice.text.startswith("decoding 4 bytes of port 'gnss' took 3.0 s")
 
 
 def test_units_that_fall_silent_are_missed_by_the_clock() -> None:
