@@ -31,7 +31,9 @@ _UTC_SLEW_PPM: Final = 500  # as fast as NTP slews
 # ns of a step back: the chain takes pings and navigation that go back by less than 1 s for late. Chosen, as pings are
 # up to 0.5 s apart.
 _UTC_SHORT_BACK_NS: Final = 1_500_000_000
-_UTC_WAIT_PPM: Final = 20_000  # until the clock has caught up after it, 50 s for each second; chosen
+# until the clock has caught up after it, 200 s for each second: a unit's UTC comes each second, and 5 ms at once are
+# less than the time between two pings
+_UTC_WAIT_PPM: Final = 5_000
 _PULSE_PPM: Final = 200  # ppm between pulses and this computer's clock, maximum: crystals are within 100
 
 
@@ -257,9 +259,11 @@ class UtcAnchor:
 
     def take_over(self, source: str, offset_ns: int, mono_ns: int) -> None:
         """Follow another source's UTC from here on; offset_ns is its UTC minus monotonic time."""
-        self._source, self._offset_ns, self._last_mono_ns, self._stepped_offset_ns = source, offset_ns, mono_ns, None
-        self._waits = False
-        self.segment += 1
+        self._source, self._last_mono_ns, self._stepped_offset_ns = source, mono_ns, None
+        self._waits = self._offset_ns is not None and -_UTC_SHORT_BACK_NS <= offset_ns - self._offset_ns < 0
+        if not self._waits:
+            self._offset_ns = offset_ns
+            self.segment += 1
 
     def utc_ns(self, mono_ns: int) -> int:
         """Return UTC, ns since 1970, at a monotonic time, by the clock followed. Call `follow` first."""

@@ -81,7 +81,7 @@ TIMES_S = [0.1 * k for k in range(390)]
 @pytest.mark.parametrize("by_s", [-0.15, -0.6, -1.05])
 def test_no_ping_comes_twice_where_a_clock_is_set_back_by_little(by_s: float) -> None:
     """The chain takes what steps back by less than a second for late, and leaves it out."""
-    times_s = [0.1 * k for k in range(900)]
+    times_s = [0.1 * k for k in range(2100)]
     pings = host_steps(pings_at(times_s), 5.0, by_s)
     events, _ = taken_in(ZDA.replace("gives_utc: true", ""), pings)
     times = [event.time_s for event in events if isinstance(event, Ping)]
@@ -106,6 +106,16 @@ def test_pings_and_navigation_are_in_the_utc_of_zda_however_wrong_this_computers
     assert (intake.counters["utc.readings"], intake.counters["utc.refused"]) == (38, 1), (
         "one sentence alone may say anything"
     )
+
+
+@pytest.mark.parametrize("ahead_s", [-0.05, -0.6])
+def test_no_ping_comes_twice_where_a_unit_gives_an_earlier_utc(ahead_s: float) -> None:
+    gnss = [zda_at(float(s), ahead_s) for s in range(3, 39)]
+    events, _ = taken_in(ZDA, gnss, pings_at(TIMES_S))
+    assert reported(events) == ["utc_taken"]
+    times = [event.time_s for event in events if isinstance(event, Ping)]
+    assert min(after - before for before, after in itertools.pairwise(times)) > 0.09
+    assert ahead_s < ahead_of(events, TIMES_S)[-1] < -0.015, "it is on its way"
 
 
 @pytest.mark.parametrize("silence", [b"", sentence("GPZDA,101530.00,,,,00,00"), fix(0.0, 43.0, 5.0)])
