@@ -282,7 +282,8 @@ class _ServedPort:
         self.vehicle: PortPilot | None = None
         if port.vehicle is not None:
             session = int(clock.utc_s()) & 0xFFFFFFFF
-            talker = talker_of(port.device, port.vehicle, secrets.randbelow)
+            may_command = config.vehicle.command
+            talker = talker_of(port.device, port.vehicle, secrets.randbelow, may_command=may_command)
             baud = port.address.baud if isinstance(port.address, SerialAddress | SlcanAddress) else 0
             radius_m = config.plan.turn_radius_m
             pilot = Pilot(talker, config.vehicle, session=session, turn_radius_m=radius_m, baud=baud)

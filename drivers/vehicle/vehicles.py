@@ -114,9 +114,21 @@ def decoder_of(device: str, settings: VehicleSettings, port: str) -> VehicleDeco
     return vehicle_named(device).make_decoder(settings, port)
 
 
-def talker_of(device: str, settings: VehicleSettings, draw: Callable[[int], int]) -> Talker[Any]:
-    """Make the talker of a dialect. draw: a random number below its argument, which nobody can foresee.
+def talker_of(
+    device: str, settings: VehicleSettings, draw: Callable[[int], int], *, may_command: bool = True
+) -> Talker[Any]:
+    """Make the talker of a dialect.
+
+    Parameters
+    ----------
+    draw
+        A random number below its argument, which nobody can foresee.
+    may_command
+        If not, control that was not requested is another payload's, not of a run before, and left alone.
 
     Raises UsageError, see `vehicle_named`.
     """
-    return vehicle_named(device).make_talker(settings, draw(_N_DRAWN))
+    talker = vehicle_named(device).make_talker(settings, draw(_N_DRAWN))
+    if isinstance(talker, ImcTalker | ReconTalker):
+        talker.ends_what_is_left = may_command
+    return talker

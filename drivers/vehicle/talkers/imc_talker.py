@@ -113,6 +113,7 @@ class ImcTalker:
     def __init__(self, settings: ImcSettings, first_request_id: int = 1) -> None:
         """first_request_id: 1 to 65535, another in every run, so that no answer of an earlier run fits."""
         self._settings = settings
+        self.ends_what_is_left = True  # plans of ours from a release that was lost, or from an earlier run
         self.counters: Counter[str] = Counter()
         self._open = False
         self._vehicle = FollowedVehicle(settings.vehicle_id)
@@ -455,9 +456,8 @@ class ImcTalker:
     def _heard_plan(self, message: imc.PlanControlState, now_s: float) -> list[VehicleEvent]:
         running = message.state in (PlanState.INITIALIZING, PlanState.EXECUTING)
         ours = running and (message.plan_id == PLAN_ID or not self._settings.own_plan)
-        unwanted = self._open and self._stage == "idle" and self._settings.own_plan
+        unwanted = self._open and self._stage == "idle" and self._settings.own_plan and self.ends_what_is_left
         if ours and unwanted and now_s >= self._stop_due_s:
-            # left from a release that was lost, or from an earlier run
             self._stop("the payload does not request control", now_s)
         if ours:
             self._seen_plan = True

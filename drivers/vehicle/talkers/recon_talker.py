@@ -48,8 +48,10 @@ class ReconTalker(AsciiTalker):
     """Talk to a REMUS by RECON. Counts also recon.command_without_floor: altitudes, which it cannot be commanded.
 
     An override that is active while it was not requested, as one left by a payload that died or whose end was lost, is
-    ended.
+    ended, unless ends_what_is_left is False.
     """
+
+    ends_what_is_left = True
 
     one_sentence = re.compile(rb"#([\x20-\x22\x24-\x29\x2b-\x7e]*),\*[0-9A-F]{2}\n")
     commanding = frozenset({ReconHeading, ReconDepth, ReconSpeed})
@@ -87,7 +89,8 @@ class ReconTalker(AsciiTalker):
     def _judge(self, mode: int, now_s: float) -> list[VehicleEvent]:
         why_not = _why_not(mode)
         active = mode & _ACTIVE != 0
-        if active and not self._wanted and self._open and now_s >= self._disengage_s:
+        is_left = active and not self._wanted and self._open and self.ends_what_is_left
+        if is_left and now_s >= self._disengage_s:
             self._disengage(now_s)
         if why_not:
             return self._end_of_control(f"{why_not} (mode {mode:02X})", now_s)
