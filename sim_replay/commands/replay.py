@@ -117,7 +117,7 @@ def _run(arguments: argparse.Namespace) -> int:
             f"{summary['contacts']} contacts, {summary['contacts_mine_like']} of them with p_mine {MINE_LIKE_P:g} or "
             f"more; {summary['covered_km2']:g} km² covered"
         ),
-        *map(_notice_words, summary["notices"]),
+        *map(notice_words, summary["notices"]),
         f"report: {report}",
         closing_line(summary),
     ]
@@ -125,6 +125,7 @@ def _run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _notice_words(notice: dict[str, str]) -> str:
+def notice_words(notice: dict[str, str]) -> str:
+    """Say a notice of a summary on a line."""
     place = f" ({notice['place']})" if notice["place"] and notice["place"] not in notice["text"] else ""
     return f"notice: {notice['text']}{place}"

@@ -59,6 +59,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _of_session(arguments: argparse.Namespace, session: Path) -> int:
+    from sim_replay.commands.replay import notice_words
     from sim_replay.logs.open_log import logs_config
     from sim_replay.replay import replay
 
@@ -73,9 +74,10 @@ def _of_session(arguments: argparse.Namespace, session: Path) -> int:
             progress=progress.show,
             verdicts=session,
         )
-    words = (
+    found = (
         f"{summary['pings']} pings so far, {summary['contacts']} contacts, {summary['contacts_mine_like']} of them "
         f"mine-like: {out / 'report.html'}"
     )
-    answer({**summary, "report": out / "report.html"}, [words], as_json=arguments.json)
+    words = [found, *map(notice_words, summary["notices"])]
+    answer({**summary, "report": out / "report.html"}, words, as_json=arguments.json)
     return 0

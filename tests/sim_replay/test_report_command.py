@@ -55,6 +55,9 @@ def test_the_recordings_of_a_session_that_was_gone_on_with_have_one_report(
     assert main(["report", str(session)]) == 0
     assert int(capsys.readouterr().out.split()[0]) == 2 * 212, "the pings of both"
     assert sorted(path.name for path in session.iterdir()) == ["recording", "recording-2", "report"]
+    (session / "recording-2").rename(session / "recording-3")
+    assert main(["report", str(session)]) == 0
+    assert "notice: recording-2 of" in capsys.readouterr().out
 
 
 def test_the_report_of_results_is_drawn_again_with_the_verdicts_of_now(
