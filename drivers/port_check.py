@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Final
 
 from auv_mcm.clock import Clock, Stamp, SystemClock
-from auv_mcm.settings.config import Config, SonarConfig
+from auv_mcm.settings.config import USUAL_BEAM_DEG, Config, SonarConfig
 from auv_mcm.settings.port_settings import SONAR_NAMES, NavUnitSettings
 from auv_mcm.shell.check.finding import Finding, Verdict
 from drivers.clocks import UtcAnchor, host_offset_ns
@@ -45,6 +45,7 @@ def port_findings(config: Config, listen_s: float = LISTEN_S) -> Iterator[Findin
     ports = read_ports(config)
     yield from (Finding(f"port {notice.place}", "warning", notice.text) for notice in open_to_all(ports))
     yield from (Finding("sonar", "warning", notice.text) for notice in without_sonar(ports))
+    yield from _beam_findings(ports, config.sonar)
 
     listeners = [_Listener(port, config.sonar, SystemClock()) for port in ports]
 
@@ -54,6 +55,17 @@ def port_findings(config: Config, listen_s: float = LISTEN_S) -> Iterator[Findin
     found = asyncio.run(check())
     yield from found
     yield from _position_findings(list(zip(listeners, found, ports, strict=True)))
+
+
+def _beam_findings(ports: Sequence[PortSettings], sonar: SonarConfig) -> Iterator[Finding]:
+    """Report a beam that is not stated: taken for narrower than it is, mines are missed that clearance promises."""
+    if sonar.kind == "side_scan" and sonar.beam_width_deg is None and any(port.is_sonar for port in ports):
+        yield Finding(
+            "beam width",
+            "warning",
+            f"sonar.beam_width_deg is empty, and {USUAL_BEAM_DEG:g} degrees are used: where the beam is wider, mines "
+            "are missed and clearance promises too much. Set the two-way width, 0.7 of the data sheet's one-way width",
+        )
 
 
 def _position_findings(judged: Sequence[tuple[_Listener, Finding, PortSettings]]) -> Iterator[Finding]:

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 from auv_mcm.errors import BadInputError
 from auv_mcm.model_file import read_model
 from auv_mcm.records import NAN, SEABED_TYPES, SeabedType
-from auv_mcm.settings.config import Config
+from auv_mcm.settings.config import USUAL_BEAM_DEG, Config
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -33,8 +33,6 @@ FLOORS: Final[tuple[Floor, ...]] = get_args(Floor)
 RIPPLES: Final = slice(1, 4)  # of FLOORS
 ASPECTS_RAD: Final = (math.radians(15.0), math.radians(45.0), math.radians(75.0))
 """Middles of the three classes of ripples, in the order of FLOORS."""
-USUAL_BEAM_DEG: Final = 0.5
-"""The beam that tables hold for if they state none: what sonars are configured with if nothing is said."""
 _HALVED_AT_M: Final[dict[Floor, float]] = {
     "flat": 1.0,
     "ripple_across": 0.43,

@@ -23,6 +23,8 @@ from auv_mcm.settings.port_settings import ArmLength, PortConfig, check_together
 from auv_mcm.settings.strict_yaml import explain_validation_error, load_mapping
 from auv_mcm.settings.vehicle_settings import VEHICLE_NAMES, VehicleConfig
 
+USUAL_BEAM_DEG: Final = 0.5  # degrees two-way, of sonars whose beam is not stated: usual at 400 to 900 kHz
+
 _Choice: TypeAlias = Annotated[str, Meta(min_length=1)]  # a word that is listed, or the path of a file
 
 
@@ -83,13 +85,12 @@ class SonarConfig(_Section, frozen=True, kw_only=True):
         ),
     ] = "as_stated"
     beam_width_deg: Annotated[
-        float,
+        Annotated[float, Meta(gt=0.0, le=20.0)] | None,
         Meta(
-            gt=0.0,
-            le=20.0,
-            description="horizontal (along-track) two-way beam width, degrees; clearance promises less of a wide one",
+            description="horizontal (along-track) two-way beam width, 0.7 of a one-way width, degrees; clearance "
+            "promises less of a wide one; empty: 0.5"
         ),
-    ] = 0.5
+    ] = None
     lever_arm_m: Annotated[
         tuple[ArmLength, ArmLength, ArmLength],
         Meta(description="array position from the navigation reference: forward, starboard, down, m"),
@@ -102,9 +103,14 @@ class SonarConfig(_Section, frozen=True, kw_only=True):
     ] = 0.0
 
     @property
+    def used_beam_width_deg(self) -> float:
+        """Return the beam width that is stated, or the usual one."""
+        return USUAL_BEAM_DEG if self.beam_width_deg is None else self.beam_width_deg
+
+    @property
     def beam_width_rad(self) -> float:
         """Return the angle that resolution along the track grows with range by: 0 for a synthetic aperture."""
-        return 0.0 if self.kind == "sas" else math.radians(self.beam_width_deg)
+        return 0.0 if self.kind == "sas" else math.radians(self.used_beam_width_deg)
 
 
 class NavigationConfig(_Section, frozen=True, kw_only=True):

@@ -207,7 +207,7 @@ def _embed_look(
         first_edge_m=trace.first_range_m - 0.5 * trace.spacing_m,
         spacing_m=trace.spacing_m,
         n_samples=trace.samples.shape[0],
-        beam_width_deg=0.0 if config.sonar.kind == "sas" else config.sonar.beam_width_deg,
+        beam_width_deg=0.0 if config.sonar.kind == "sas" else config.sonar.used_beam_width_deg,
         beam=scene.beam,
     )
     placed = scene_object._replace(

@@ -8,10 +8,9 @@ from typing import Final, NamedTuple
 
 import msgspec
 
-from auv_mcm.clearance.detection_performance import USUAL_BEAM_DEG
 from auv_mcm.model_file import NONE, SHIPPED
 from auv_mcm.safe_files import read_regular
-from auv_mcm.settings.config import Config
+from auv_mcm.settings.config import USUAL_BEAM_DEG, Config
 from sim_replay.augment.augment_log import TRUTH_NAME
 from sim_replay.fitting.cascade.spec import SonarVariant, carrying, on_grid, read_training_spec, within_swath
 from sim_replay.fitting.cascade.tiles import Split

@@ -114,7 +114,7 @@ class XtfLog:
         report.clear()
         self.bytes_read = 0
         with self._open() as file:
-            raise_notices(self._layout, self._sonar.subsystem, report)
+            raise_notices(self._layout, self._sonar, report)
             reader = PingReader(self._first_packet, self._layout, self._learn, report)
             raw_pings = timed(reader.read(file, self.size_bytes), report)
             probe = list(islice(raw_pings, PROBE_PINGS))

@@ -10,6 +10,7 @@ from typing import Any, BinaryIO, Final, NamedTuple
 import pyxtf
 
 from auv_mcm.errors import BadInputError
+from auv_mcm.settings.config import SonarConfig
 from sim_replay.logs.xtf_channels import (
     ChannelHead,
     PacketHead,
@@ -45,6 +46,8 @@ SONAR: Final = 0  # packet type: side scan and sub-bottom
 PROBE_PINGS: Final = 50  # looked at before the first is given, to learn what all of them share
 _PROBE_PACKETS: Final = 4 * PROBE_PINGS  # of side scan, as a ping may be four; to learn how they hold channels
 _PROBE_ITEMS: Final = 20 * _PROBE_PACKETS  # of any kind, among which they are looked for
+_TWO_WAY: Final = 0.71  # of a one-way beam width, for beams near a Gaussian: 1 / sqrt(2)
+_WIDEST_DEG: Final = 20.0  # that may be configured; logs that state more mean something else
 
 
 class NoSideScanError(BadInputError):
@@ -202,20 +205,20 @@ def learn_layout(file: BinaryIO, data: bytes, offset: int, path: str, subsystem:
     return Layout(header, data, described, packing, pair)
 
 
-def raise_notices(layout: Layout, subsystem: int | None, report: LogReport) -> None:
+def raise_notices(layout: Layout, sonar: SonarConfig, report: LogReport) -> None:
     """Raise the notices of a log's first file header.
 
     Parameters
     ----------
     layout
         Of the header.
-    subsystem
+    sonar
         As configured.
     report
         Takes the notices.
     """
     place, used = report.place(0), (layout.port_number, layout.starboard_number)
-    report.extend(pair_notices(layout.pair, layout.packing, subsystem, place))
+    report.extend(pair_notices(layout.pair, layout.packing, sonar.subsystem, place))
     if others := layout.pair.others:
         report.notify(
             "reader.other_channel",
@@ -223,11 +226,13 @@ def raise_notices(layout: Layout, subsystem: int | None, report: LogReport) -> N
             f"further side-scan channels are left out and counted: {name_channels(others)}",
             place,
         )
+    described = {
+        c.number: header_channel(layout.header, layout.data, c.number) for c in layout.channels if c.number in used
+    }
+    _raise_wide_beam(max((info.HorizBeamAngle for info in described.values()), default=0.0), sonar, report, place)
     offsets = [
-        f"channel {c.number} offset {info.OffsetX:g}, {info.OffsetY:g}, {info.OffsetZ:g} m"
-        for c in layout.channels
-        if c.number in used
-        for info in (header_channel(layout.header, layout.data, c.number),)
+        f"channel {number} offset {info.OffsetX:g}, {info.OffsetY:g}, {info.OffsetZ:g} m"
+        for number, info in described.items()
         if info.OffsetX or info.OffsetY or info.OffsetZ
     ]
     if layout.header.NavigationLatency:
@@ -239,6 +244,19 @@ def raise_notices(layout: Layout, subsystem: int | None, report: LogReport) -> N
             "nothing is applied, set sonar.lever_arm_m if needed",
             place,
         )
+
+
+def _raise_wide_beam(stated_deg: float, sonar: SonarConfig, report: LogReport, place: str) -> None:
+    """Report a beam that is wider than the one used. Data sheets, and so logs, state one-way widths."""
+    if sonar.kind == "sas" or not sonar.used_beam_width_deg < _TWO_WAY * stated_deg <= _WIDEST_DEG:
+        return
+    report.notify(
+        "reader.beam_is_wider",
+        f"the log states a beam of {stated_deg:g} degrees along the track, {_TWO_WAY * stated_deg:.2g} two-way, and "
+        f"{sonar.used_beam_width_deg:g} is used: mines are missed, and clearance promises too much. Set "
+        "sonar.beam_width_deg",
+        place,
+    )
 
 
 def _first_heads(file: BinaryIO, offset: int, described: Sequence[Channel]) -> list[PacketHead]:

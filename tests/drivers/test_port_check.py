@@ -30,9 +30,9 @@ SAMPLE = nav_of(1.0, heading_rad=0.3, depth_m=2.0, speed_mps=NAN)
 
 
 def findings(ports: str) -> list[Finding]:
-    """Check ports; that there is no sonar among them is for another test."""
+    """Check ports; that there is no sonar among them, or no beam stated, is for other tests."""
     found = port_findings(parse_config(f"ports: [{ports}]", "c.yaml"), LISTEN_S)
-    return [each for each in found if each.name != "sonar"]
+    return [each for each in found if each.name not in ("sonar", "beam width")]
 
 
 def serial(path: Path, device: str, more: str = "") -> str:
@@ -284,3 +284,20 @@ def test_units_that_speak_without_a_position_fail_the_check() -> None:
     assert [finding.verdict for finding in found] == ["ok", "FAILED"]
     assert found[1].name == "position"
     assert "no unit that was heard (one) gave a position" in found[1].detail
+
+
+@pytest.mark.parametrize(
+    ("words", "is_asked"), [("{}", True), ("{beam_width_deg: 0.5}", False), ("{kind: sas}", False)]
+)
+def test_a_person_is_asked_for_a_beam_that_is_not_stated(words: str, is_asked: bool, tmp_path: Path) -> None:
+    ports = f"{{name: sonar, link: 'serial://{tmp_path}/no?baud=115200', device: ping_protocol}}"
+    config = parse_config(f"{{sonar: {words}, ports: [{ports}]}}", "c.yaml")
+    asked = [each for each in port_findings(config, LISTEN_S) if each.name == "beam width"]
+    assert [each.verdict for each in asked] == ["warning"] * is_asked
+    assert all("sonar.beam_width_deg is empty" in each.detail for each in asked)
+
+
+def test_nobody_is_asked_for_the_beam_of_no_sonar(tmp_path: Path) -> None:
+    ports = f"{{name: one, link: 'serial://{tmp_path}/no?baud=115200', device: nmea0183}}"
+    found = port_findings(parse_config(f"ports: [{ports}]", "c.yaml"), LISTEN_S)
+    assert "beam width" not in [each.name for each in found]

@@ -89,5 +89,5 @@ def test_the_chain_is_given_the_beam_width_and_nothing_else() -> None:
 def test_a_synthetic_aperture_has_the_beam_of_its_resolution_at_half_range() -> None:
     scene = read_scene("sas")
     assert scene.sonar.synthetic_aperture is not None
-    width_m = math.radians(config_for(scene).sonar.beam_width_deg) * 0.5 * scene.sonar.range_m
+    width_m = math.radians(config_for(scene).sonar.used_beam_width_deg) * 0.5 * scene.sonar.range_m
     assert width_m == pytest.approx(scene.sonar.synthetic_aperture.along_track_resolution_m)

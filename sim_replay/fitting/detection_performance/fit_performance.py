@@ -20,7 +20,6 @@ from auv_mcm.clearance.detection_performance import (
     ASPECTS_RAD,
     FLOORS,
     RIPPLES,
-    USUAL_BEAM_DEG,
     Band,
     CellView,
     Floor,
@@ -30,6 +29,7 @@ from auv_mcm.clearance.detection_performance import (
 )
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import SEABED_TYPES
+from auv_mcm.settings.config import USUAL_BEAM_DEG
 from sim_replay.fitting.detection_performance.closed_form import p_found
 from sim_replay.fitting.detection_performance.looks import CellPass
 

@@ -82,7 +82,7 @@ def test_only_samples_of_footprint_and_shadow_change(log: Path) -> None:
     changed = changes(log, done)
     assert not changed["port"].any()
     pings, columns = np.nonzero(changed["starboard"])
-    length_m, beam_m = 1.1, math.radians(CONFIG.sonar.beam_width_deg) * 14.0
+    length_m, beam_m = 1.1, math.radians(CONFIG.sonar.used_beam_width_deg) * 14.0
     assert np.abs(pings - 80).max() <= (0.5 * length_m + beam_m) / STEP_M + 1.0
     seen = view_shape(Box(length_m=1.1, width_m=0.9, height_m=0.45), 0.0, 12.0, ALTITUDE_M)
     slant_m = (columns + 0.5) * SPACING_M

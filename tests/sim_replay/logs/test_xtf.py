@@ -397,6 +397,28 @@ def test_a_changed_weight_factor_is_scaled_to_the_first(tmp_path: Path) -> None:
     assert "reader.weight_change" in codes_of(events)
 
 
+@pytest.mark.parametrize(
+    ("stated_deg", "sonar", "is_asked"),
+    [
+        (1.8, {}, True),
+        (0.7, {}, False),  # 0.5 two-way, which is used
+        (0.25, {}, False),
+        (0.0, {}, False),
+        (35.0, {}, False),  # no width along the track
+        (1.8, {"beam_width_deg": 1.3}, False),
+        (1.8, {"kind": "sas"}, False),
+    ],
+)
+def test_a_beam_stated_in_the_log_that_is_wider_than_the_one_used_is_reported(
+    stated_deg: float, sonar: dict[str, Any], is_asked: bool, tmp_path: Path
+) -> None:
+    path = written(tmp_path / "log.xtf")
+    edit_file_header(path, lambda header: setattr(header.ChanInfo[1], "HorizBeamAngle", stated_deg))
+    notices = [event for event in read(path, **sonar)[0] if isinstance(event, Notice)]
+    assert [notice.code for notice in notices] == ["reader.beam_is_wider"] * is_asked
+    assert all("1.8 degrees along the track, 1.3 two-way, and 0.5 is used" in notice.text for notice in notices)
+
+
 def test_mounting_stated_in_the_log_is_reported_but_not_applied(tmp_path: Path) -> None:
     path = written(tmp_path / "log.xtf")
 
