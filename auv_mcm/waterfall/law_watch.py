@@ -38,6 +38,9 @@ _GAP_STEPS: Final = 3.0  # of the time between pings: those of a long-range sona
 _RECENT_BLOCKS: Final = 32  # 512 pings
 _WATCHED: Final = 4  # of so many blocks after the decision one is measured, at a quarter of the processor time
 _SPREAD_BLOCKS: Final = 32
+# since the start or a hole in time, after which the power is not raised any more: sea floor under pings that lie close
+# together raises what is read from 2 to 2.9, and a picture that is compressed costs little
+_NEW_BLOCKS: Final = _RECENT_BLOCKS
 
 
 class LawVerdict(NamedTuple):
@@ -177,6 +180,7 @@ class LawWatch:
             law.n_regions == 0
             or abs(law.linear_nats) < _TURN_NATS
             or same_picture(held, law.transfer, _TURN_FACTOR_NATS)
+            or (self._n_blocks > _NEW_BLOCKS and _stretches(law.transfer, held))
         ):
             return None
         if held.kind == law.transfer.kind:
@@ -225,6 +229,11 @@ def law_of_pings(pings: Sequence[Ping], sonar: SonarConfig) -> SampleLaw:
     if law.transfer.kind == "log" and sonar.db_per_count is not None:
         return law._replace(transfer=Transfer("log", sonar.db_per_count))
     return law
+
+
+def _stretches(transfer: Transfer, held: Transfer) -> bool:
+    """Check whether linear samples are raised to a higher power than so far."""
+    return transfer.kind == held.kind == "amplitude" and transfer.intensity_power > held.intensity_power
 
 
 def _alive(ping: Ping) -> Ping:

@@ -182,3 +182,24 @@ def test_what_the_protocol_states_beats_speckle_but_not_the_configuration() -> N
     assert "the sonar's protocol states 'intensity'" in notice.text
     first = LawWatch(SonarConfig(transfer="amplitude")).add(stated[0])
     assert first == LawVerdict(Transfer("amplitude"), ())
+
+
+@pytest.mark.parametrize(("gap_s", "turns"), [(0.1, 0), (60.0, 1)])
+def test_the_power_is_raised_for_another_recorder_and_not_on_the_way(gap_s: float, turns: int) -> None:
+    """What roots of amplitude look like, some sea floor does, too."""
+    root = AMPLITUDE**0.7
+    first = pings(np.concatenate([AMPLITUDE, AMPLITUDE]))
+    late = [structs.replace(ping, time_s=ping.time_s + gap_s) for ping in pings(np.concatenate([root, root]), 1024)]
+    (_, (transfer, _)), *more = verdicts_of(LawWatch(SonarConfig()), [*first, *late])
+    assert transfer == Transfer("amplitude", power=2.0)
+    assert [notice.code for _, verdict in more for notice in verdict.notices] == ["transfer.turned"] * turns
+
+
+def test_the_power_is_lowered_on_the_way() -> None:
+    root = AMPLITUDE**0.7
+    given = pings(np.concatenate([root, root, AMPLITUDE, AMPLITUDE]))
+    (_, (first, _)), (_, (turned, _)) = verdicts_of(LawWatch(SonarConfig()), given)
+    assert first is not None
+    assert turned is not None
+    assert first.intensity_power > 2.4
+    assert turned == Transfer("amplitude", power=2.0)
