@@ -49,6 +49,7 @@ from auv_mcm.shell.ping_ring import Ring, bytes_in_ring, into_ring
 
 RING_BYTES: Final = 1 << 23  # about a minute of the largest pings in use
 MAX_IN_FLIGHT: Final = 64  # messages not yet answered; small enough never to fill the pipe
+_MAX_NOT_TAKEN: Final = 1024  # answers: some 15 s of 20 pings and 50 samples of navigation a second; bounds memory
 _USER_TICKS: Final = 10  # place of utime in the line, from the field after the state on
 _WAITING_STATES: Final = "STt"  # sleeping, stopped, traced; R runs or wants to, D waits for the disk
 
@@ -153,7 +154,7 @@ class Perception:
         return started
 
     async def feed(self, event: SourceEvent, room: float = 1.0, number: int = 0) -> None:
-        """Hand one event to the worker, waiting for space in the ring.
+        """Hand one event to the worker, waiting for space in the ring; also while far too many answers are not taken.
 
         Parameters
         ----------
@@ -170,7 +171,7 @@ class Perception:
         offset: int | None = None
         while True:
             self._raise_if_dead()
-            if len(self._in_flight) < MAX_IN_FLIGHT:
+            if len(self._in_flight) < MAX_IN_FLIGHT and self._answers.qsize() < _MAX_NOT_TAKEN:
                 offset = self._ring.take(n_bytes) if n_bytes else 0
                 if offset is not None:
                     break
@@ -216,10 +217,6 @@ class Perception:
         if isinstance(answer, Exception):
             raise answer
         assert not isinstance(answer, Started)
-        if isinstance(answer, Checkpointed):
-            return answer
-        if self._in_flight and self._in_flight.popleft():
-            self._ring.give_back()
         self._room.set()
         return answer
 
@@ -260,9 +257,15 @@ class Perception:
         if isinstance(answer, Failure):
             self._set_dead(answer.error())
         else:
-            self._n_owed -= not isinstance(answer, Checkpointed)
             self._n_answered += 1
             self._answers.put_nowait(answer)
+            if isinstance(answer, Checkpointed):
+                return
+            self._n_owed -= 1
+            # Whoever takes the answers may wait for the disk; the worker must not wait with him.
+            if self._in_flight and self._in_flight.popleft():
+                self._ring.give_back()
+            self._room.set()
 
     def _die(self) -> None:
         self._process.join(timeout=5.0)  # its end of the pipe is closed: it is gone or going

@@ -25,12 +25,14 @@ from auv_mcm.contacts.record_file import RecordFile, RecordPlace
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import Contact, CoveragePatch, EarlyContact, EchoTrace, Notice, Ping, SourceEvent
 from auv_mcm.settings.config import Config
-from auv_mcm.shell.perception import Perception
+from auv_mcm.shell.perception import MAX_IN_FLIGHT, Perception
 from auv_mcm.shell.perception_chain import MakePipeline
 from auv_mcm.shell.perception_messages import Fed, Finished, PerceptionError
 from auv_mcm.shell.ping_ring import Ring
 from tests.auv_mcm.contacts.temporary_records import temporary_record_file
 from tests.auv_mcm.shell import fake_pipelines as fake
+
+GENEROUS_S = 60.0
 
 
 @given(st.lists(st.integers(0, 400) | st.none(), max_size=60))
@@ -206,6 +208,21 @@ def test_words_of_a_device_in_a_traceback_forge_no_line_of_the_log(capfd: pytest
     assert first.startswith("Traceback")
     assert any("2026-01-01" in line for line in others)
     assert all(line.startswith("  ") and is_clean(line) for line in others)
+
+
+async def test_answers_that_nobody_has_taken_yet_hold_up_no_ping() -> None:
+    perception = Perception(Config(), fake.Base)
+    try:
+        await perception.start()
+        async with asyncio.timeout(GENEROUS_S):
+            for number in range(3 * MAX_IN_FLIGHT):
+                await perception.feed(fake.ping(number), number=number)
+            while perception.in_flight:
+                await asyncio.sleep(0.0)
+            for _ in range(3 * MAX_IN_FLIGHT):
+                assert isinstance(await perception.answer(), Fed)
+    finally:
+        perception.close()
 
 
 async def test_closing_what_never_started_or_still_works_ends_at_once() -> None:
