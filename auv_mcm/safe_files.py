@@ -151,6 +151,15 @@ def open_for_update(path: Path) -> BinaryIO:
     return open(os.open(path, _UPDATED, 0o666), "r+b", buffering=0)
 
 
+def sync_file(path: Path) -> None:
+    """Wait until the disk holds what was written to a regular file. Raises OSError that names it."""
+    with open_regular(path, buffering=0) as file:
+        try:
+            os.fsync(file.fileno())
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, str(path)) from error
+
+
 def sync_directory(folder: Path) -> None:
     """Make the names in a directory durable. Raises OSError that names it."""
     descriptor = os.open(folder, _DIRECTORY)

@@ -278,5 +278,4 @@ def _last_number(path: Path) -> int:
 def _close(file: BinaryIO | None) -> None:
     if file is not None:
         with contextlib.suppress(OSError):
-            os.fsync(file.fileno())
-            file.close()
+            file.close()  # synced before

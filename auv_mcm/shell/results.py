@@ -59,10 +59,15 @@ class MissionResults(NamedTuple):
     clearance: Clearance | None
     clearance_png: bytes
 
-    def writers(self, folder: Path, mission: str) -> dict[str, Callable[[], None]]:
+    def writers(self, folder: Path, mission: str, *, durable: bool = True) -> dict[str, Callable[[], None]]:
         """Give what writes each file in `folder`, whole or not at all, by the file's name; each raises OSError.
 
-        mission: its name.
+        Parameters
+        ----------
+        mission
+            Its name.
+        durable
+            False where they are synced later, all at once.
         """
         contacts, coverage = _in_order(self.contacts, contact_order), _in_order(self.coverage, coverage_order)
         parts: dict[str, Callable[[], Iterable[bytes]]] = {
@@ -72,9 +77,10 @@ class MissionResults(NamedTuple):
             "coverage.geojson": lambda: coverage_geojson_parts(coverage),
             "waypoints.geojson": lambda: [waypoints_geojson(self.waypoints)],
         }
-        clearance = partial(write_clearance, folder, self.clearance, self.clearance_png)
+        clearance = partial(write_clearance, folder, self.clearance, self.clearance_png, durable=durable)
         writers = {
-            name: partial(lambda name, of: write_parts(folder / name, of()), name, of) for name, of in parts.items()
+            name: partial(lambda name, of: write_parts(folder / name, of(), durable=durable), name, of)
+            for name, of in parts.items()
         }
         return {**writers, "clearance.geojson": clearance}
 
@@ -97,13 +103,13 @@ def _in_order(records: Iterable[T], key: Callable[[T], Any]) -> Iterable[T]:
     )
 
 
-def write_clearance(folder: Path, clearance: Clearance | None, picture: bytes) -> None:
+def write_clearance(folder: Path, clearance: Clearance | None, picture: bytes, *, durable: bool = True) -> None:
     """Write `clearance.geojson`, and `clearance.png` where anything was searched.
 
     A picture of an earlier replay is removed.
     """
-    write_file(folder / "clearance.geojson", clearance_geojson(clearance))
+    write_file(folder / "clearance.geojson", clearance_geojson(clearance), durable=durable)
     if picture:
-        write_file(folder / "clearance.png", picture)
+        write_file(folder / "clearance.png", picture, durable=durable)
     else:
         (folder / "clearance.png").unlink(missing_ok=True)

@@ -51,6 +51,7 @@ from auv_mcm.shell.recovery import (
     SUMMARY,
     Ballast,
     SessionMemory,
+    all_synced,
     all_written,
     in_recording,
     pings_lost,
@@ -106,8 +107,7 @@ class Service:
         self._finished: Finished | None = None  # the last answer of perception
         self._recorder: Recorder | None = None
         self._vehicle_link: VehicleLink | None = None
-        self._n_dropped_reported = 0
-        self._n_lost_reported = 0
+        self._n_dropped_reported = self._n_lost_reported = 0
         self._disk = ThreadPoolExecutor(1, "disk")
         self._starting: asyncio.Task[None] | None = None
         self._publishing: asyncio.Task[None] | None = None
@@ -245,7 +245,7 @@ class Service:
         """Write everything that is known. Returns an error that names what the disk did not take."""
         report("STOPPING=1", "STATUS=writing results", "WATCHDOG=1")  # the event loop stands still meanwhile
         self._perception.close()
-        self._spool.close()
+        self._disk.submit(self._spool.close)  # while the recording is closed: both wait for the disk
         self._counters += self._perception.counters
         if self._recorder is not None:
             self._recorder.close()
@@ -475,7 +475,8 @@ class Service:
         waypoints = plan_waypoints(contacts, self._tally, plan, self._counters) if proposed is None else proposed
         of_area = finished.clearance, finished.clearance_png
         results = MissionResults(contacts, self._coverage.in_order(), waypoints, self._tally, point, *of_area)
-        errors = all_written(results.writers(self._folder, self._config.mission))
+        writers = results.writers(self._folder, self._config.mission, durable=False)
+        errors = all_written(writers) | all_synced(self._folder)
         if errors:
             self._say(results_missing(self._folder, errors))
         n_in_memory = self._contacts.n_in_memory + self._coverage.n_in_memory

@@ -14,14 +14,17 @@ from auv_mcm.errors import UsageError
 from auv_mcm.safe_files import replacing
 
 
-def write_file(path: Path, data: bytes) -> None:
-    """Replace `path` by `data`; a power cut leaves the old file or the new one, never a piece. Raises OSError."""
-    write_parts(path, [data])
+def write_file(path: Path, data: bytes, *, durable: bool = True) -> None:
+    """Replace `path` by `data`; a power cut leaves the old file or the new one, never a piece. Raises OSError.
+
+    durable: False where it is synced later.
+    """
+    write_parts(path, [data], durable=durable)
 
 
-def write_parts(path: Path, parts: Iterable[bytes]) -> None:
-    """Replace `path` by the parts, one behind the other. Raises OSError."""
-    with replacing(path) as file:
+def write_parts(path: Path, parts: Iterable[bytes], *, durable: bool = True) -> None:
+    """Replace `path` by the parts, one behind the other, as `write_file`. Raises OSError."""
+    with replacing(path, durable=durable) as file:
         file.writelines(parts)
 
 

@@ -13,7 +13,7 @@ from auv_mcm.errors import HardwareError
 from auv_mcm.shell.perception_messages import PerceptionError
 from auv_mcm.shell.recovery import BALLAST_BYTES, Ballast
 from tests.auv_mcm.shell import fake_pipelines as fake
-from tests.auv_mcm.shell.service_runs import Events, ids, journal, mission, serve, summary
+from tests.auv_mcm.shell.service_runs import RESULTS, Events, ids, journal, mission, serve, summary
 
 
 def test_contacts_are_announced_even_if_the_disk_is_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -95,6 +95,30 @@ def test_a_disk_too_full_for_one_result_takes_the_others_and_the_error_names_wha
     assert len((results / "contacts.csv").read_text().splitlines()) == 12
     assert [notice["code"] for notice in summary(results)["notices"]] == ["results_missing"]
     assert not [path for path in results.iterdir() if path.suffix == ".new"]
+
+
+def test_all_results_are_written_before_one_is_synced_and_the_summary_comes_when_all_are_on_disk(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One by one a slow disk takes longer for them than a stop may."""
+    done: list[str] = []
+
+    def replace(new: Path, old: Path, replace: Callable[..., None] = os.replace, **folders: int) -> None:
+        done.append(f"write {old.name}")
+        replace(new, old, **folders)
+
+    def sync(descriptor: int, sync: Callable[[int], None] = os.fsync) -> None:
+        done.append(f"sync {Path(os.readlink(f'/proc/self/fd/{descriptor}')).name}")
+        sync(descriptor)
+
+    monkeypatch.setattr("auv_mcm.safe_files.os.replace", replace)
+    monkeypatch.setattr("auv_mcm.safe_files.os.fsync", sync)
+    serve(tmp_path, Events(mission(30)))
+    written = {name for name in RESULTS if name.endswith((".geojson", ".csv", ".kml"))}
+    last = max(done.index(f"write {name}") for name in written)
+    summary_at = done.index("write summary.json")
+    assert not {f"sync {name}" for name in written} & set(done[:last])
+    assert {f"sync {name}" for name in (*written, (tmp_path / "latest").resolve().name)} <= set(done[last:summary_at])
 
 
 def test_space_is_held_for_the_results_and_pictures_come_after_them(
