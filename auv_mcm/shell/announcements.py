@@ -5,17 +5,19 @@ from __future__ import annotations
 import contextlib
 import logging
 from collections import Counter
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Iterable, Sequence
 from functools import partial
 from typing import Any, Final, TypeAlias
 
 from auv_mcm.clock import Clock
 from auv_mcm.contacts.contact_store import ContactStore
 from auv_mcm.contacts.export import contact_feature, iso_time
+from auv_mcm.contacts.record_file import RecordPlace
 from auv_mcm.errors import AuvMcmError
 from auv_mcm.records import Contact, EarlyContact, Notice, PipelineEvent, contact_id, contact_number
 from auv_mcm.shell.journal import Journal
 from auv_mcm.shell.journal_contacts import contacts_in
+from auv_mcm.shell.perception_messages import Fed
 from auv_mcm.shell.recovery import EARLY_JOURNAL, JOURNAL, in_journal
 from auv_mcm.shell.session import Session
 from auv_mcm.shell.snippet_files import Snippets
@@ -35,7 +37,7 @@ class Announcements:
     """Keep contacts in their journals and pictures in their files, and print what a person has to know.
 
     notices: all so far, those of runs before among them. as_what: what each contact was announced as, by its number; 0
-    for one that was not.
+    for one that was not. unannounced: contacts that are in the journal, each with its place in the file of records.
     """
 
     def __init__(
@@ -51,28 +53,29 @@ class Announcements:
         self.notices = list(session.memory.notices)
         self._n_notices = Counter(notice.code for notice in self.notices)
         self.as_what = bytearray()
+        self.unannounced: list[tuple[Contact, RecordPlace | None]] = []
         for name, is_clutter in self._before.items():
             self._note(contact_number(name), CLUTTER if is_clutter else NO_CLUTTER)
 
-    async def keep_contacts(self, contacts: Sequence[Contact], number: int, snippets: Mapping[str, bytes]) -> None:
-        """Write contacts of event `number` to the journal, and pictures to their files.
+    async def keep_contacts(self, news: Iterable[PipelineEvent], answer: Fed) -> None:
+        """Write the contacts among the news of an answer to the journal, and its pictures to their files.
 
-        Contacts are announced even where the disk is full. snippets: a PNG picture per contact id.
+        Contacts are announced even where the disk is full.
         """
-        now = iso_time(self._clock.utc_s())
-        records = [{"time": now, "event": number, "contact": contact_feature(contact)} for contact in contacts]
+        contacts = [event for event in news if isinstance(event, Contact)]
         failed = "contacts announced below are NOT on disk"
-        await self._keep(partial(self._journal.append, records), "service.journal_failed", failed)
+        await self._keep(partial(self._append, contacts, answer), "service.journal_failed", failed)
         failed = "pictures of contacts stay in memory"
-        await self._keep(partial(self._snippets.write, snippets), "service.snippets_failed", failed)
+        await self._keep(partial(self._snippets.write, answer.snippets), "service.snippets_failed", failed)
 
-    async def keep_early(self, contacts: Sequence[EarlyContact], number: int) -> None:
-        """Write early contacts, which came of event `number`, to the journal of their own."""
+    async def keep_early(self, news: Iterable[PipelineEvent], number: int) -> None:
+        """Write the early contacts among the news, which came of event `number`, to the journal of their own."""
         now = iso_time(self._clock.utc_s())
         records = [
             {"time": now, "event": number, "state": early.state, "became": early.became}
             | {"contact": contact_feature(early.contact)}
-            for early in contacts
+            for early in news
+            if isinstance(early, EarlyContact)
         ]
         failed = "early contacts announced below are not on disk"
         await self._keep(partial(self._append_early, records), "service.early_journal_failed", failed)
@@ -84,6 +87,13 @@ class Announcements:
             self._counters[counter] += 1
             why = error.strerror if isinstance(error, OSError) else error
             log.error("%s: %s: %s. Free space on the disk.", what_failed, self._folder, why)
+
+    def _append(self, contacts: Sequence[Contact], answer: Fed) -> None:
+        now = iso_time(self._clock.utc_s())
+        self._journal.append(
+            {"time": now, "event": answer.number, "contact": contact_feature(contact)} for contact in contacts
+        )
+        self.unannounced = [(contact, answer.places.get(contact_number(contact.id))) for contact in contacts]
 
     def _append_early(self, records: list[dict[str, Any]]) -> None:
         if self._early_journal is None:
@@ -132,6 +142,7 @@ class Announcements:
     def _announce(self, event: PipelineEvent) -> None:
         match event:
             case Contact():
+                self.unannounced = [each for each in self.unannounced if each[0] is not event]
                 now = CLUTTER if event.classification == "clutter" else NO_CLUTTER
                 before = self._note(contact_number(event.id), now)
                 if NO_CLUTTER not in (before, now):

@@ -127,9 +127,7 @@ class Service:
         failure: AuvMcmError | None = None
         missing: HardwareError | None = None
         try:
-            self._say(*self._session.notices)
-            if kernels.backend() == "numpy":
-                self._say(no_kernels())
+            self._say(*self._session.notices, *([no_kernels()] if kernels.backend() == "numpy" else []))
             self._say(*await self._health.open())
             await self._show_health()
             async with asyncio.TaskGroup() as tasks:
@@ -256,6 +254,9 @@ class Service:
                 self._say(in_recording(self._folder, why, is_gone_on_with=is_gone_on_with))
         self._report_lost_pings()
         self._disk.shutdown()
+        for contact, place in self._announcements.unannounced:  # the end came while the disk took them
+            self._contacts.keep(contact, place)
+            self._say(contact)
         with contextlib.suppress(OSError):
             self._folder.mkdir(parents=True, exist_ok=True)  # it may have been removed
         self._ballast.release()
@@ -395,15 +396,13 @@ class Service:
                 self._memory = msgspec.structs.replace(self._memory, is_over=True)
                 await self._write_memory()  # what lies in the last tile is not to be found again in a longer one
             if contacts:
-                new = [event for event in news if isinstance(event, Contact)]
-                await self._announcements.keep_contacts(new, answer.number, answer.snippets)
+                await self._announcements.keep_contacts(news, answer)
                 for contact in contacts:
                     self._contacts.keep(contact, answer.places.get(contact_number(contact.id)))
                 if self._vehicle_link is not None:
                     self._vehicle_link.report(contacts)
             if early:
-                new_early = [event for event in news if isinstance(event, EarlyContact)]
-                await self._announcements.keep_early(new_early, answer.number)
+                await self._announcements.keep_early(news, answer.number)
                 if self._vehicle_link is not None:
                     self._vehicle_link.report_early(early)
             for patch in answer.patches:

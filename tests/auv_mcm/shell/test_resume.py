@@ -8,14 +8,16 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+import threading
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pytest
 
 from auv_mcm.records import SourceEvent
 from auv_mcm.settings.config import Config, ServiceConfig
+from auv_mcm.shell.journal import Journal
 from auv_mcm.shell.perception_chain import MakePipeline
 from auv_mcm.shell.service import Service
 from auv_mcm.shell.session import open_session
@@ -206,6 +208,39 @@ def test_a_session_that_goes_on_is_not_taken_for_one_that_has_ended(tmp_path: Pa
     kill(tmp_path, "C0012")
     assert (tmp_path / "latest").resolve() == folder
     assert not (folder / "summary.json").exists()
+
+
+def test_a_contact_that_goes_to_the_journal_as_the_stop_ends_the_mission_is_announced_and_among_the_results(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    service: Service
+    loop: asyncio.AbstractEventLoop
+    said: list[str] = []
+    is_closing = threading.Event()
+
+    def append(journal: Journal, records: Iterable[Any], append: Callable[..., None] = Journal.append) -> None:
+        records = list(records)
+        if "C0009" in str(records):
+            loop.call_soon_threadsafe(service.stop)
+            is_closing.wait()
+        append(journal, records)
+
+    def report(*states: str) -> None:
+        if "STOPPING=1" in states:
+            is_closing.set()
+
+    async def run() -> Path:
+        nonlocal service, loop
+        config = Config(service=ServiceConfig(output_directory=str(tmp_path), stop_within_s=3.0))
+        service = Service(config, Ports(events(0, 12)), console=said.append, make_pipeline=fake.Base)
+        loop = asyncio.get_running_loop()
+        return await service.run()
+
+    monkeypatch.setattr(Journal, "append", append)
+    monkeypatch.setattr("auv_mcm.shell.service.report", report)
+    folder = asyncio.run(run())
+    assert ids(folder) == journal(folder) == EXPECTED[:4]
+    assert sum("C0009 new" in line for line in said) == 1
 
 
 def test_a_session_killed_once_its_last_contacts_are_announced_is_over(tmp_path: Path) -> None:
