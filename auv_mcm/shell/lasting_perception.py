@@ -31,6 +31,7 @@ from auv_mcm.shell.event_spool import EventSpool, Spooled
 from auv_mcm.shell.perception import RING_BYTES, Perception, WorkDone
 from auv_mcm.shell.perception_chain import MakePipeline
 from auv_mcm.shell.perception_messages import Checkpointed, Fed, Finished, PerceptionError, Planned, Started
+from auv_mcm.shell.ping_ring import bytes_in_ring
 
 log = logging.getLogger(__name__)
 
@@ -46,7 +47,9 @@ _MAX_ENDS: Final = 2
 """Processes that may end at one event: it is the same for the next one, whatever it is, and no more is tried."""
 _MAX_ENDS_AT_START: Final = 4  # and before the first answer or its start, where chance may have ended one as well
 _READ_AT_ONCE: Final = 64  # events read from the spool in one go
-_MAX_NEWEST: Final = 512  # events kept in memory while the spool is read: some seconds of them, 20 MB of pings; chosen
+_NEWEST_BYTES: Final = 20 << 20
+"""Of pings, kept in memory while the spool is read: some seconds, as is the room for other events; chosen."""
+_OTHER_BYTES: Final = 2048  # that an event without samples counts for: 10,000 fit, eight seconds of six quantities
 
 
 class _Asked(NamedTuple):
@@ -93,6 +96,7 @@ class LastingPerception:
         self._on_handed = on_handed
         self._is_behind = False  # what was given comes from the spool
         self._newest: deque[Spooled] = deque()  # given since the spool was read last, unless they are too many
+        self._newest_bytes = 0  # that they count for
         self._is_whole = False  # all of them are
         self._pings_behind: deque[int] = deque()  # numbers of pings that were given since, and that no process has
         self._awaited: deque[int] = deque()  # numbers of events, in the order of their answers
@@ -179,9 +183,10 @@ class LastingPerception:
         """Keep an event in memory beside the spool, while those there are few."""
         if isinstance(spooled.event, Ping):
             self._pings_behind.append(spooled.number)
-        self._is_whole = self._is_whole and len(self._newest) < _MAX_NEWEST
+        self._is_whole = self._is_whole and self._newest_bytes <= _NEWEST_BYTES
         if self._is_whole:
             self._newest.append(spooled)
+            self._newest_bytes += _weight(spooled.event)
 
     def ask(self, request: PlanRequest) -> bool:
         """Request a plan from the contacts known by then. False: none will come."""
@@ -318,11 +323,14 @@ class LastingPerception:
         while not self._is_whole:
             until = self._given
             self._newest.clear()
+            self._newest_bytes = 0
             self._is_whole = True
             await self._feed_spooled(perception, until)
             while self._newest:
+                spooled = self._newest.popleft()
+                self._newest_bytes -= _weight(spooled.event)
                 with contextlib.suppress(ValueError):  # a ping too large, which was reported when it came
-                    await self._hand(perception, self._newest.popleft())
+                    await self._hand(perception, spooled)
         self._handed = self._given
         self._is_behind = False
         self._pings_behind.clear()  # of those that the disk did not take, too
@@ -365,3 +373,7 @@ class LastingPerception:
                     self._perception.kill()
                     now = None
             last = now
+
+
+def _weight(event: SourceEvent) -> int:
+    return bytes_in_ring(event) or _OTHER_BYTES

@@ -95,8 +95,9 @@ def test_pings_that_come_while_perception_is_replaced_count_as_waiting_so_that_w
 
 
 class SlowlyRead(Events):
-    """Gives a few events, once perception has failed three whenever the spool is read, and at last the others."""
+    """Gives a few events, once perception has failed some whenever the spool is read, and at last the others."""
 
+    n_at_once = 3
     n_given = n_wanted = n_reads = 0
     patience = 200  # looks at whether it is read again
 
@@ -109,16 +110,19 @@ class SlowlyRead(Events):
 
     def read(self, spool: EventSpool, after: int, until: int) -> Iterator[Spooled]:
         self.n_reads += 1
-        self.n_wanted = self.n_given + 3
+        self.n_wanted = self.n_given + self.n_at_once
         while self.n_given < min(self.n_wanted, len(self._events)):
             time.sleep(0.001)
         yield from read_events(spool._folder, after, until)
 
 
+@pytest.mark.parametrize("n_samples", [3, 2400], ids=["few", "two seconds of an inertial unit"])
 def test_perception_that_was_replaced_catches_up_though_events_come_whenever_the_disk_is_read(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    n_samples: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    source = SlowlyRead(mission(100), lossless=False)
+    samples = [fake.navigation(number) for number in range(50, 50 + 4 * n_samples)]
+    source = SlowlyRead([*mission(50), *samples, *mission(50)], lossless=False)
+    source.n_at_once = n_samples
     monkeypatch.setattr(EventSpool, "read", lambda spool, after, until: source.read(spool, after, until))
     monkeypatch.setenv("FAILED_ONCE", str(tmp_path / "failed"))
     results = serve(tmp_path / "out", source, fake.DyingOnce)
