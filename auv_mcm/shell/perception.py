@@ -18,6 +18,7 @@ import contextlib
 import ctypes
 import multiprocessing
 import os
+import pickle
 import signal
 import tempfile
 from collections import deque
@@ -50,6 +51,8 @@ from auv_mcm.shell.ping_ring import Ring, bytes_in_ring, into_ring
 RING_BYTES: Final = 1 << 23  # about a minute of the largest pings in use
 MAX_IN_FLIGHT: Final = 64  # messages not yet answered; small enough never to fill the pipe
 _MAX_NOT_TAKEN: Final = 1024  # answers: some 15 s of 20 pings and 50 samples of navigation a second; bounds memory
+_READ_BYTES: Final = 1 << 18  # in one turn of the event loop: as much as the kernel holds of a pipe
+_SIZE_BYTES: Final = 4  # before each message, as multiprocessing writes it: its size, big-endian
 _USER_TICKS: Final = 10  # place of utime in the line, from the field after the state on
 _WAITING_STATES: Final = "STt"  # sleeping, stopped, traced; R runs or wants to, D waits for the disk
 
@@ -98,6 +101,7 @@ class Perception:
         self._n_owed = 0  # answers that have not come
         self._n_answered = 0
         self._ring = Ring(ring_bytes)
+        self._came = bytearray()  # of an answer that is not whole
         self._in_flight: deque[bool] = deque()  # per unanswered message: does it hold ring space?
         self._room = asyncio.Event()
         self._answers: asyncio.Queue[Started | Fed | Planned | Checkpointed | Finished | Exception] = asyncio.Queue()
@@ -249,11 +253,19 @@ class Perception:
             self._raise_if_dead()
 
     def _receive(self) -> None:
-        try:
-            answer = self._connection.recv()
-        except (EOFError, OSError):
+        """Take what has come. An answer that is not whole is not waited for: its writer may not get a processor."""
+        came = b""
+        with contextlib.suppress(OSError):
+            came = os.read(self._connection.fileno(), _READ_BYTES)
+        if not came:
             self._die()
-            return
+        self._came += came
+        while len(self._came) >= (stop := _SIZE_BYTES + int.from_bytes(self._came[:_SIZE_BYTES], "big")):
+            answer = pickle.loads(self._came[_SIZE_BYTES:stop])
+            del self._came[:stop]
+            self._take(answer)
+
+    def _take(self, answer: Any) -> None:
         if isinstance(answer, Failure):
             self._set_dead(answer.error())
         else:

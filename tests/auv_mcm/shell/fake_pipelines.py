@@ -6,6 +6,8 @@ import contextlib
 import hashlib
 import os
 import signal
+import sys
+import threading
 import time
 from collections import Counter
 from typing import Any
@@ -361,6 +363,31 @@ class HangingOnce(_Once):
     """Stops for good, once."""
 
     number = signal.SIGSTOP
+
+
+class HangingWhileItAnswersOnce(_Once):
+    """Stops for good in the middle of an answer, once."""
+
+    def feed(self, event: SourceEvent) -> list[PipelineEvent]:
+        events = Base.feed(self, event)
+        if isinstance(event, Ping) and event.number == 5 and not os.path.exists(os.environ["FAILED_ONCE"]):
+            return [*events, _Large(code="large", text="")]
+        return events
+
+
+class _Large(Notice, frozen=True):
+    """Takes far more bytes than a pipe holds, and stops its process once some of them are written."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        threading.Thread(target=_stop_while_writing, args=(threading.get_ident(),)).start()
+        return bytes, (bytes(1 << 26),)
+
+
+def _stop_while_writing(thread: int) -> None:
+    while sys._current_frames()[thread].f_code.co_name != "_send":
+        time.sleep(0.0)
+    os.close(os.open(os.environ["FAILED_ONCE"], os.O_CREAT | os.O_EXCL))
+    os.kill(os.getpid(), signal.SIGSTOP)
 
 
 class HangingAtItsStartOnce(_Once):

@@ -37,6 +37,7 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Served:
         (fake.DyingOnce, 1),
         (fake.DyingOnceAndOnceAtItsStart, 2),
         (fake.HangingOnce, 1),
+        (fake.HangingWhileItAnswersOnce, 1),
         (fake.HangingAtItsStartOnce, 1),
         (fake.DyingAtItsEndOnce, 1),
     ],
