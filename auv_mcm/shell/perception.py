@@ -60,8 +60,8 @@ _WAITING_STATES: Final = "STt"  # sleeping, stopped, traced; R runs or wants to,
 class WorkDone(NamedTuple):
     """Hold what a process has done so far.
 
-    n_answered: answers so far. cpu_s: processor time used. waits: it has nothing to compute and does not wait
-    for the disk.
+    n_answered: answers so far. cpu_s: processor time used. waits: none of its threads has anything to compute or
+    waits for the disk.
     """
 
     n_answered: int
@@ -70,13 +70,16 @@ class WorkDone(NamedTuple):
 
 
 def _work_done(pid: int, n_answered: int) -> WorkDone | None:
-    """Read proc_pid_stat(5); None where there is none."""
+    """Read proc_pid_stat(5) of the process and of each of its threads; None where there is none."""
+    process = Path(f"/proc/{pid}")
     try:
-        state, *fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+        _, *fields = (process / "stat").read_text().rpartition(")")[2].split()
+        states = [path.read_text().rpartition(")")[2].split()[0] for path in process.glob("task/*/stat")]
     except (OSError, ValueError):
-        return None
+        return None  # a thread may just have ended
     user_ticks, system_ticks = map(int, fields[_USER_TICKS : _USER_TICKS + 2])
-    return WorkDone(n_answered, (user_ticks + system_ticks) / os.sysconf("SC_CLK_TCK"), state in _WAITING_STATES)
+    waits = all(state in _WAITING_STATES for state in states)
+    return WorkDone(n_answered, (user_ticks + system_ticks) / os.sysconf("SC_CLK_TCK"), waits)
 
 
 class Perception:

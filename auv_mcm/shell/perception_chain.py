@@ -9,6 +9,8 @@ import time
 import traceback
 from collections import Counter
 from collections.abc import Callable, Iterable
+from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Protocol, TypeAlias
 
 import msgspec
@@ -205,10 +207,13 @@ class PerceptionChain:
         age_s = time.monotonic() - self._kept_s
         return self._keeping is not None and age_s >= (self._keeping.every_s if is_after_tile else _LONGEST_S)
 
-    def checkpoint(self, number: int) -> bool:
-        """Write one. False if none is kept, or the disk does not take it: those before then have to serve."""
+    def checkpoint(self, number: int) -> Callable[[], bool]:
+        """Give what writes one, as of now; it may be called beside the chain.
+
+        It returns False if none is kept, or the disk does not take it: those before then have to serve.
+        """
         if self._keeping is None:
-            return False
+            return lambda: False
         state = freeze(
             {
                 "kind": self._keeping.kind,
@@ -223,9 +228,12 @@ class PerceptionChain:
             self._constants(),
         )
         self._kept_s = time.monotonic()
+        return partial(self._write, self._keeping.folder, number, state)
+
+    def _write(self, folder: Path, number: int, state: bytes) -> bool:
         try:
             self._records.sync()
-            write_checkpoint(self._keeping.folder, number, state)
+            write_checkpoint(folder, number, state)
         except OSError:
             return False
         return True

@@ -8,7 +8,10 @@ import gc
 import os
 import signal
 import sys
+import threading
 import traceback
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from multiprocessing.connection import Connection
 from typing import Final
 
@@ -54,11 +57,12 @@ def work(
     _end_with_parent()
     os.nice(_NICENESS)
     chain: PerceptionChain | None = None
+    disk = ThreadPoolExecutor(1, "checkpoint")
     try:
         chain = PerceptionChain(config, make_pipeline, records, keeping)
         gc.collect()
         gc.freeze()
-        _serve(connection, chain, np.frombuffer(memoryview(shared), np.uint8))
+        _serve(connection, chain, np.frombuffer(memoryview(shared), np.uint8), disk)
     except (EOFError, BrokenPipeError, ConnectionResetError):
         pass  # the parent is gone: no reader for an answer
     except errors.AuvMcmError as error:
@@ -69,19 +73,35 @@ def work(
         why = f"{type(error).__name__}: {error}. This is a defect: report it with the log."
         connection.send(Failure("PerceptionError", f"perception failed ({place}): {why}"))
     finally:
+        disk.shutdown()
         records.close()
 
 
-def _serve(connection: Connection, chain: PerceptionChain, memory: NDArray[np.uint8]) -> None:
-    """Answer each message, until None says that the mission has ended; then give the last answers."""
-    connection.send(chain.started)
+def _serve(connection: Connection, chain: PerceptionChain, memory: NDArray[np.uint8], disk: ThreadPoolExecutor) -> None:
+    """Answer each message, until None says that the mission has ended; then give the last answers.
+
+    disk: writes checkpoints, so that no ping waits for them.
+    """
+    sending = threading.Lock()
+
+    def send(answer: object) -> None:
+        with sending:
+            connection.send(answer)
+
+    def keep(write: Callable[[], bool], number: int) -> None:
+        if write():
+            send(Checkpointed(number))
+
+    send(chain.started)
     number = chain.started.number
+    keeping: Future[None] = disk.submit(lambda: None)
     while (message := connection.recv()) is not None:
         if isinstance(message, PlanRequest):
             planned = Planned(chain.propose(message))
-            if message.flown and chain.checkpoint(number):  # no event gives these legs again
-                connection.send(Checkpointed(number))
-            connection.send(planned)
+            if message.flown:  # no event gives these legs again
+                wait([keeping])
+                keep(chain.checkpoint(number), number)
+            send(planned)
         elif isinstance(message, Reserve):
             chain.pipeline.reserve(message.n_contacts)
         else:
@@ -90,14 +110,13 @@ def _serve(connection: Connection, chain: PerceptionChain, memory: NDArray[np.ui
                 chain.leave_room(event.room)
                 event = out_of_ring(event, memory)
             answer = chain.feed(event)
-            connection.send(answer)
+            send(answer)
             chain.keep(answer.patches)
-            if chain.is_checkpoint_due(bool(answer.patches)):
-                if chain.checkpoint(number):
-                    connection.send(Checkpointed(number))
+            if keeping.done() and chain.is_checkpoint_due(bool(answer.patches)):
+                keeping = disk.submit(keep, chain.checkpoint(number), number)
                 return_freed_memory()
-    connection.send(chain.finish())
-    connection.send(chain.last_answer())
+    send(chain.finish())
+    send(chain.last_answer())
 
 
 def _end_with_parent() -> None:

@@ -204,6 +204,32 @@ class SeeingOnFullDisk(FullDisk, Seeing):
     """Sees on a disk that is full from ping 1 on."""
 
 
+class OnSlowDisk(Base):
+    """Is on a disk that syncs nothing before there is the file that DISK_ANSWERS names."""
+
+    def __init__(self, config: Config, kept: Contacts) -> None:
+        super().__init__(config, kept)
+        mock.patch.object(os, "fsync", side_effect=self.sync).start()
+
+    def sync(self, descriptor: int) -> None:
+        while not os.path.exists(os.environ["DISK_ANSWERS"]):
+            time.sleep(0.001)
+
+
+class WaitingForTheDiskBeside(Base):
+    """Has a thread that waits as for the disk, until somebody writes to the pipe that DISK_ANSWERS names."""
+
+    def feed(self, event: SourceEvent) -> list[PipelineEvent]:
+        thread = threading.Thread(target=self.wait)
+        thread.start()
+        thread.join()
+        return []
+
+    def wait(self) -> None:
+        pipe = (os.POSIX_SPAWN_OPEN, 0, os.environ["DISK_ANSWERS"], os.O_RDONLY, 0)
+        os.posix_spawn("/bin/true", ["true"], {}, file_actions=[pipe])  # Linux has it wait in state D
+
+
 class Unstartable(Base):
     def __init__(self, config: Config, kept: Contacts) -> None:
         raise RuntimeError("no model file")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import errno
+import multiprocessing
 import os
 from collections import deque
 from collections.abc import Sequence
@@ -25,9 +26,10 @@ from auv_mcm.contacts.record_file import RecordFile, RecordPlace
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import Contact, CoveragePatch, EarlyContact, EchoTrace, Notice, Ping, SourceEvent
 from auv_mcm.settings.config import Config
+from auv_mcm.shell.checkpoint import Keeping
 from auv_mcm.shell.perception import MAX_IN_FLIGHT, Perception
 from auv_mcm.shell.perception_chain import MakePipeline
-from auv_mcm.shell.perception_messages import Fed, Finished, PerceptionError
+from auv_mcm.shell.perception_messages import Checkpointed, Fed, Finished, PerceptionError
 from auv_mcm.shell.ping_ring import Ring
 from tests.auv_mcm.contacts.temporary_records import temporary_record_file
 from tests.auv_mcm.shell import fake_pipelines as fake
@@ -221,6 +223,52 @@ async def test_answers_that_nobody_has_taken_yet_hold_up_no_ping() -> None:
                 await asyncio.sleep(0.0)
             for _ in range(3 * MAX_IN_FLIGHT):
                 assert isinstance(await perception.answer(), Fed)
+    finally:
+        perception.close()
+
+
+async def test_a_checkpoint_that_waits_for_the_disk_holds_up_no_ping(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("DISK_ANSWERS", str(tmp_path / "answers"))
+    perception = Perception(Config(), fake.OnSlowDisk, keeping=Keeping(tmp_path, "kind", every_s=0.0))
+    try:
+        await perception.start()
+        async with asyncio.timeout(GENEROUS_S):
+            for number in range(12):
+                await perception.feed(fake.ping(number), number=number)
+            for _ in range(12):
+                assert isinstance(await perception.answer(), Fed)
+            (tmp_path / "answers").touch()
+            assert await perception.answer() == Checkpointed(0)
+    finally:
+        perception.close()
+
+
+async def test_a_process_whose_thread_waits_for_the_disk_does_not_hang(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    os.mkfifo(pipe := tmp_path / "pipe")
+    monkeypatch.setenv("DISK_ANSWERS", str(pipe))
+    perception = Perception(Config(), fake.WaitingForTheDiskBeside)
+
+    def states() -> list[str]:
+        (worker,) = (child for child in multiprocessing.active_children() if child.name == "perception")
+        return [
+            path.read_text().rpartition(")")[2].split()[0] for path in Path(f"/proc/{worker.pid}/task").glob("*/stat")
+        ]
+
+    try:
+        await perception.start()
+        await perception.feed(fake.ping(0))
+        async with asyncio.timeout(GENEROUS_S):
+            while "D" not in states():
+                await asyncio.sleep(0.01)
+            done = perception.work_done()
+            assert done is not None
+            assert not done.waits
+            os.close(os.open(pipe, os.O_WRONLY))
+            assert isinstance(await perception.answer(), Fed)
     finally:
         perception.close()
 

@@ -47,7 +47,7 @@ def test_a_checkpoint_is_as_large_after_forty_patches_as_after_ten(tmp_path: Pat
             chain.keep(chain.feed(fake.ping(number)).patches)
             if number % 10 == 0:
                 chain.propose(PlanRequest(*geodetic(-20.0, -20.0), 0.0, frozenset()))
-                assert chain.checkpoint(number)
+                assert chain.checkpoint(number)()
                 commit_checkpoint(tmp_path, number)
                 n_bytes.append((tmp_path / f"checkpoint-{number:012d}.bin").stat().st_size)
         assert n_bytes[-1] - n_bytes[0] < 40 * 150, "places in the file, of cells of 45 bytes"
