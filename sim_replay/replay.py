@@ -13,7 +13,6 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm import __version__, kernels
 from auv_mcm.clean_text import clean
 from auv_mcm.clearance.clearance_map import ClearanceMap
 from auv_mcm.clearance.clearance_picture import clearance_png
@@ -25,6 +24,7 @@ from auv_mcm.contacts.contact_picture import snippet_png
 from auv_mcm.contacts.geojson import Json, collection, feature, one_or_multi, positions_of
 from auv_mcm.memory import return_freed_memory, return_large_arrays
 from auv_mcm.pipeline import Pipeline
+from auv_mcm.program import made_with
 from auv_mcm.records import Contact, CoveragePatch, Notice, PipelineEvent, Side, Tile
 from auv_mcm.settings.config import Config, config_yaml
 from auv_mcm.shell.mission_totals import clearance_notices, notice_lists
@@ -105,7 +105,6 @@ def replay(
         replaying.run(Pace(speed, clock), clock, progress)
         summary = replaying.write(folder, judged) | {
             "peak_memory_mb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0, 1),
-            "kernels": kernels.backend(),
             "threads": threads,
             "exhaustive": without_skips == ALL_SKIPS,
             "without_skips": sorted(without_skips),
@@ -228,7 +227,7 @@ class _Replaying:
         write_contents(folder, kept)
         write_report(folder / REPORT, shown._replace(pictures=kept))
         return {
-            "version": __version__,
+            **made_with(),
             "mission": self._config.mission,
             **self._origin(folder),
             **totals,

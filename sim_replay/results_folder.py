@@ -13,9 +13,9 @@ from urllib.parse import unquote_to_bytes
 
 import msgspec
 
-from auv_mcm import __version__
 from auv_mcm.errors import AuvMcmError, BadInputError, UsageError
 from auv_mcm.model_file import NONE, SHIPPED
+from auv_mcm.program import program
 from auv_mcm.safe_files import read_regular
 from auv_mcm.settings.config import Config
 from auv_mcm.shell.recovery import RECORDING, SUMMARY
@@ -113,7 +113,7 @@ def resolved_log(entry: object, folder: Path) -> Path:
 
 
 def is_replayed(folder: Path, config: Config) -> bool:
-    """Check whether a folder holds whole results of unchanged logs, by this version with this configuration.
+    """Check whether a folder holds whole results of unchanged logs, by this program with this configuration.
 
     Bottom lines that were corrected since count as a change, and so do files that the configuration names.
     """
@@ -123,7 +123,7 @@ def is_replayed(folder: Path, config: Config) -> bool:
     made_ns = (folder / SUMMARY).stat().st_mtime_ns
     same_log = all(_is_unchanged(entry, made_ns) for entry in summary["logs"]) and _are_older(config, made_ns)
     same_log = same_log and _used_lines(summary) == lines_beside(map(named_path, summary["logs"]))
-    return same_log and _is_same(summary["config"], config) and summary["version"] == __version__
+    return same_log and _is_same(summary["config"], config) and summary.get("program") == program()
 
 
 def summary_of(folder: Path) -> dict[str, Any] | None:

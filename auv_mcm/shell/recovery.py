@@ -18,9 +18,11 @@ import msgspec
 
 from auv_mcm import __version__, kernels
 from auv_mcm.errors import AuvMcmError
+from auv_mcm.model_file import NONE, SHIPPED
 from auv_mcm.plan.look_again import LooksSoFar
+from auv_mcm.program import program
 from auv_mcm.records import Notice, report_number
-from auv_mcm.safe_files import sync_directory, sync_file
+from auv_mcm.safe_files import read_regular, sync_directory, sync_file
 from auv_mcm.settings.config import Config, ServiceConfig
 from auv_mcm.shell.journal import Journal
 from auv_mcm.shell.journal_contacts import id_in
@@ -217,7 +219,7 @@ def _count(contacts: dict[int, AnnouncedContact], name: str, p_mine: float) -> N
 
 
 def session_kind(config: Config) -> str:
-    """Name what a state fits: this version, these kernels, and what the configuration makes of bytes.
+    """Name what a state fits: this program with its models and kernels, and what the configuration makes of bytes.
 
     Queues and folders are left out, and the addresses of ports: a device that moved to another socket sends the same.
     """
@@ -226,8 +228,24 @@ def session_kind(config: Config) -> str:
         for section, address in _ADDRESSES:
             of = port if section is None else port.get(section) or {}
             of.pop(address, None)
-    digest = hashlib.sha256(msgspec.json.encode(of_chain, order="deterministic")).hexdigest()
-    return f"{__version__} {kernels.backend()} {digest}"
+    digest = hashlib.sha256(msgspec.json.encode(of_chain, order="deterministic"))
+    for name in _named_models(config):
+        with contextlib.suppress(OSError, AuvMcmError):  # perception, which needs it, says what is wrong
+            digest.update(hashlib.sha256(read_regular(Path(name))).digest())
+    return f"{__version__} {program()} {kernels.backend()} {digest.hexdigest()}"
+
+
+def _named_models(config: Config) -> list[str]:
+    """List the files that a configuration names in place of models that ship."""
+    given, shipped = msgspec.to_builtins(config), msgspec.to_builtins(Config())
+    keys = [
+        (section, key)
+        for section, values in shipped.items()
+        if isinstance(values, dict)
+        for key, value in values.items()
+        if value == SHIPPED
+    ]
+    return [given[section][key] for section, key in keys if given[section][key] not in (SHIPPED, NONE)]
 
 
 def remove_state(folder: Path) -> None:

@@ -22,13 +22,14 @@ from typing import Any, Final
 
 import msgspec
 
-from auv_mcm import __version__, kernels
+from auv_mcm import kernels
 from auv_mcm.clock import Clock, SystemClock
 from auv_mcm.contacts.contact_store import ContactStore
 from auv_mcm.contacts.coverage_store import CoverageStore
 from auv_mcm.contacts.operating_point import MarkedContacts
 from auv_mcm.contacts.record_file import open_record_file
 from auv_mcm.errors import AuvMcmError, HardwareError, first_of
+from auv_mcm.program import made_with
 from auv_mcm.records import Contact, EarlyContact, Ping, SourceEvent, contact_number
 from auv_mcm.settings.config import Config
 from auv_mcm.shell.announcements import CLUTTER, NO_CLUTTER, Announcements
@@ -481,8 +482,7 @@ class Service:
         n_in_memory = self._contacts.n_in_memory + self._coverage.n_in_memory
         of_disk = Counter({"service.kept_in_memory": n_in_memory, "service.unreadable": self._records.n_unreadable})
         summary: dict[str, Any] = {
-            "version": __version__,
-            "kernels": kernels.backend(),
+            **made_with(),
             "source": self._config.service.source,
             **results.totals(plan, "" if link is None else link.verdict),
             **({} if link is None else {"vehicle": link.health()}),

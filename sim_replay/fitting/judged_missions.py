@@ -10,12 +10,12 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm import __version__
 from auv_mcm.clean_text import clean
 from auv_mcm.detect.belief import odds_of
 from auv_mcm.detect.cascade.choose import configured_model, fitting
 from auv_mcm.errors import BadInputError
 from auv_mcm.model_file import SHIPPED
+from auv_mcm.program import program
 from auv_mcm.records import Detector
 from sim_replay.fitting.fit_background import log_odds_of
 from sim_replay.verdict_layers import is_missed, sorted_verdicts
@@ -78,10 +78,10 @@ def _read(folder: Path) -> JudgedMission:
     verdicts = read_verdicts(folder)
     if not verdicts:
         raise BadInputError(f"{folder} holds no verdicts ({VERDICTS_FILE}). Judge its contacts with 'auv-mcm view'.")
-    if summary.get("version") != __version__:
+    if summary.get("program") != program():
         raise BadInputError(
-            f"{folder} is of version {clean(str(summary.get('version')))}, this is {__version__}. Replay it into the "
-            "same folder: verdicts stay."
+            f"{folder} is of another build of version {clean(str(summary.get('version')))}. Replay it into the same "
+            "folder: verdicts stay."
         )
     config = summary_config(summary, folder)
     if not config.confirm.enabled or {config.confirm.odds, config.confirm.targets} != {SHIPPED}:

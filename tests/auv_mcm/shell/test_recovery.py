@@ -5,6 +5,9 @@ A session goes on where its state fits."""
 from __future__ import annotations
 
 import os
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -65,3 +68,30 @@ def test_a_changed_address_does_not_end_a_session(was: str, is_now: str, goes_on
     before, after = parse_config(PORTS, "vehicle.yaml"), parse_config(PORTS.replace(was, is_now), "vehicle.yaml")
     assert before != after
     assert (session_kind(before) == session_kind(after)) == goes_on
+
+
+@pytest.mark.parametrize(("line", "goes_on"), [("# another build", False), ("", True)])
+def test_a_session_of_another_build_of_the_same_version_is_not_gone_on_with(
+    line: str, goes_on: bool, tmp_path: Path
+) -> None:
+    ask = "from auv_mcm.shell.recovery import session_kind as k; from auv_mcm.settings.config import Config as C; "
+    for package in ("auv_mcm", "drivers", "sim_replay"):
+        leave_out = shutil.ignore_patterns("docs", "__pycache__")
+        shutil.copytree(Path(__file__).parents[3] / package, tmp_path / package, ignore=leave_out)
+    with (tmp_path / "auv_mcm/detect/suppress.py").open("a") as module:
+        module.write(line)
+    command = [sys.executable, "-c", ask + "print(k(C()))"]
+    kind = subprocess.run(command, cwd=tmp_path, env={}, capture_output=True, text=True, check=True).stdout.strip()
+    assert (kind == session_kind(parse_config("", "vehicle.yaml"))) == goes_on
+
+
+def test_a_model_that_was_fitted_again_under_its_name_ends_a_session(tmp_path: Path) -> None:
+    path = tmp_path / "odds.json"
+    config = parse_config(f"confirm: {{odds: {path}}}", "vehicle.yaml")
+    kinds = []
+    for content in ("of yesterday", "of today", "of yesterday"):
+        path.write_text(content)
+        kinds.append(session_kind(config))
+    path.unlink()
+    assert kinds[0] == kinds[2]
+    assert len({*kinds, session_kind(config)}) == 3

@@ -5,6 +5,7 @@ from __future__ import annotations
 import html.parser
 import json
 import os
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from threading import Thread
@@ -15,6 +16,7 @@ import pytest
 
 from auv_mcm.cli import main
 from auv_mcm.errors import BadInputError, HardwareError, UsageError
+from auv_mcm.program import program
 from auv_mcm.records import CoveragePatch
 from auv_mcm.settings.config import Config, ConfirmConfig, ContactsConfig
 from sim_replay.batch import missions as batch_missions
@@ -182,6 +184,10 @@ def test_results_of_another_configuration_or_of_a_log_that_changed_are_made_anew
     assert is_replayed(folder, Config())
     assert not is_replayed(folder, Config(contacts=ContactsConfig(min_p_mine=0.5)))
     assert not is_replayed(tmp_path, Config())
+    summary = (folder / "summary.json").read_text()
+    of_another_build = shutil.copytree(folder, tmp_path / "copy")
+    (of_another_build / "summary.json").write_text(summary.replace(program(), "of another checkout"))
+    assert not is_replayed(of_another_build, Config())
     log = archive / "day1" / "a.xtf"
     times = os.stat(log).st_atime_ns, os.stat(log).st_mtime_ns
     try:

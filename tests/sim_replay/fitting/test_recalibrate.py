@@ -28,6 +28,7 @@ from auv_mcm.contacts.background import (
 )
 from auv_mcm.errors import BadInputError
 from auv_mcm.pipeline import Pipeline
+from auv_mcm.program import program
 from auv_mcm.settings.config import Config, ConfirmConfig, config_yaml, parse_config
 from sim_replay.fitting.fit_background import log_odds_of
 from sim_replay.fitting.fit_odds import written
@@ -233,6 +234,7 @@ def judged_results(folder: Path, n_contacts: int = 30) -> Path:
         )
     summary = {
         "version": __version__,
+        "program": program(),
         "covered_km2": 0.35,
         "operating_point": {"asked_per_km2": 30.0, "searched_km2": 0.2},
         "config": msgspec.to_builtins(Config()),
@@ -259,7 +261,7 @@ def test_verdicts_find_their_contacts_and_too_few_are_refused_by_number(
 @pytest.mark.parametrize(
     ("change", "complaint"),
     [
-        ({"version": "0.0"}, "is of version 0.0"),
+        ({"program": "of another checkout", "version": "0.0"}, "of another build of version 0.0"),
         ({"config": {"confirm": {"odds": "other.json"}}}, "confirm.odds other.json"),
         ({"operating_point": {"asked_per_km2": 30.0}}, "names no area"),
         ({"operating_point": 3}, "no operating point"),
