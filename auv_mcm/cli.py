@@ -20,10 +20,11 @@ _INTERRUPTED = 130  # what shells report for a program ended by Ctrl-C
 _EXTRAS = {
     "bench": {
         *("scipy", "pyxtf", "rich", "jinja2", "tifffile", "h5py", "mpmath", "mcap_protobuf", "pyproj", "fpdf"),
-        "shtab",
+        *("shtab", "markupsafe", "google", "foxglove_schemas_protobuf"),
     },
     "bench,cluster": {"dask", "distributed"},
     "bench,view": {"aiohttp"},
+    "bench,verifier": {"torch", "onnx"},
     "bench,dev": {"matplotlib", "PIL"},
 }
 """Packages that commands need, by what to install for them."""

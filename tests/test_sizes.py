@@ -36,7 +36,7 @@ LINES: Final = {
     "sim_replay/benches": Limit(7_780, 6_000),
     "sim_replay/commands": Limit(2_070, 700),
     "sim_replay/fakes": Limit(4_380, 3_500),
-    "sim_replay/fitting": Limit(8_000, 5_200),
+    "sim_replay/fitting": Limit(8_010, 5_200),
     "sim_replay/hil": Limit(2_450, 3_300),
     "sim_replay/logs": Limit(8_570, 3_900),
     "sim_replay/report": Limit(2_040, 2_000),

@@ -67,7 +67,7 @@ def parse_network(data: bytes, place: str, digest: str | None = None) -> Network
     found = hashlib.sha256(data).hexdigest()
     if digest is not None and found != digest:
         raise BadInputError(f"{place}: SHA-256 {found}, not {digest}: it is damaged or of other odds. Install it again")
-    advice = "Write it again with 'auv-mcm calibrate verifier'"
+    advice = f"Install OpenCV 5, here is {cv2.__version__}, or write it again with 'auv-mcm calibrate verifier'"
     try:
         net = cv2.dnn.readNetFromONNX(np.frombuffer(data, dtype=np.uint8))
         network = Network(found, net, threading.Lock())

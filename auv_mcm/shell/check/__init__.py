@@ -256,12 +256,14 @@ def _odds() -> Iterator[Finding]:
     from typing import get_args
 
     from auv_mcm.classify.odds import shipped_odds
+    from auv_mcm.classify.verifier import network_of
     from auv_mcm.records import Detector
 
     for detector in get_args(Detector):
         odds = shipped_odds(detector)
         words = f"{detector}: {odds.fitted_on}"
         if odds.verifier is not None:
+            network_of(odds.verifier.digest, odds.verifier.file)
             words += f". {odds.made_by}. Verifier: {odds.verifier.trained_on}"
         yield Finding("odds of confirmation", "ok", words)
 

@@ -20,7 +20,7 @@ from sim_replay.fitting.fit_odds import written
 from sim_replay.fitting.looks import DRAWN, LookTask
 from sim_replay.fitting.recorders import RECORDED_SCENES, RECORDERS
 from sim_replay.fitting.verifier.mill import DENSE, FIRST_PATCHES, FIRST_SEED, FIRST_SHELLY, FIRST_SLABS, MINE, fly_all
-from sim_replay.fitting.verifier.train import N_EPOCHS, ChipTable, train, written_as_onnx
+from sim_replay.fitting.verifier.train import N_EPOCHS, ChipTable, needs_packages, train, written_as_onnx
 from sim_replay.fitting.verifier.weigh import (
     LIMITS_PER_KM2,
     Array,
@@ -94,6 +94,7 @@ def build(
     BadInputError
         For a damaged file in it.
     """
+    needs_packages()
     learnt, judged = missions(n_missions)
     places = fly_all(learnt, folder, farm, show)
     judged_places = fly_all([task for _, task in judged], folder, farm, show)

@@ -248,6 +248,12 @@ def _average(averaged: Any, network: Any, kept: float) -> None:
                 mean.copy_(latest)
 
 
+def needs_packages() -> None:
+    """Raise UsageError where what trains and writes a network is missing, before hours of flying."""
+    _torch()
+    import onnx  # noqa: F401
+
+
 def _torch() -> Any:
     try:
         import torch

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import hashlib
+import sys
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ import pytest
 from auv_mcm.classify.chips import N_COLUMNS, N_HEIGHTS, N_PLACE, N_ROWS
 from auv_mcm.classify.odds import shipped_odds
 from auv_mcm.classify.verifier import CLASSES
+from auv_mcm.cli import main
 from sim_replay.fitting.cascade.farm import Farm
 from sim_replay.fitting.looks import LookTask
 from sim_replay.fitting.theatre import Theatre
@@ -60,3 +63,12 @@ def test_a_network_is_trained_on_own_missions_where_they_show_enough(
         assert (given, out.read_text()) == ([chips], f"{digest}, trained, written")
     else:
         assert "500 mines, 100 other objects and 100 places of sea floor are too few" in capsys.readouterr().err
+
+
+def test_without_pytorch_the_verifier_says_so_before_it_flies_for_hours(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "torch", None)
+    monkeypatch.setattr("sim_replay.fitting.verifier.build.fly_all", Mock(side_effect=AssertionError("it flew")))
+    assert main(["calibrate", "verifier", "--looks", str(tmp_path / "looks"), "--out", str(tmp_path / "made")]) == 2
+    assert "auv-mcm[verifier]" in capsys.readouterr().err
