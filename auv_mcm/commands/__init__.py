@@ -103,7 +103,7 @@ def command(commands: Commands, name: str, does: str, more: str, examples: Seque
 
 def _wrapped(text: str) -> str:
     """Wrap paragraphs to the terminal, and to a width that is easy to read."""
-    width = min(shutil.get_terminal_size().columns - 2, _WIDTH)
+    width = min(max(shutil.get_terminal_size().columns - 2, 1), _WIDTH)
     return "\n\n".join(
         paragraph if _LIST.search(paragraph) else textwrap.fill(" ".join(paragraph.split()), width)
         for paragraph in text.split("\n\n")

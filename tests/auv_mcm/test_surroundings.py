@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 import sys
 import tomllib
 from pathlib import Path
@@ -13,6 +14,7 @@ import pytest
 from auv_mcm import cli
 from auv_mcm.classify.verifier import network_of
 from auv_mcm.cli import main
+from auv_mcm.settings.config import parse_config
 from auv_mcm.shell.check.packages import IMPORTED_AS, parse_requirements
 from tests.test_import_graph import TOPS, names_of
 
@@ -38,3 +40,20 @@ def test_every_package_that_the_bench_imports_has_an_extra_that_brings_it() -> N
     known = {*sys.stdlib_module_names, *TOPS, *base, *(name for names in cli._EXTRAS.values() for name in names)}
     imported = {name.partition(".")[0] for path in (ROOT / "sim_replay").rglob("*.py") for name in names_of(path)}
     assert imported - known == set()
+
+
+@pytest.mark.parametrize("closed", [(0,), (1,), (2,), (0, 1, 2)])
+def test_a_command_whose_streams_are_closed_does_its_work(closed: tuple[int, ...], tmp_path: Path) -> None:
+    out = tmp_path / "config.yaml"
+    shell = 'exec "$@" ' + " ".join(f"{number}>&-" for number in closed)
+    command = ["sh", "-c", shell, "sh", sys.executable, "-m", "auv_mcm", "config", "--write", str(out)]
+    assert subprocess.run(command, cwd=ROOT, capture_output=True, timeout=120, check=False).returncode == 0
+    parse_config(out.read_text("utf-8"), "config.yaml")
+    failed = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120, check=False)
+    assert (failed.returncode, "Traceback" in failed.stderr) == (2, False), "the file is there"
+
+
+def test_help_fits_a_terminal_of_one_column_without_a_failure(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "1")
+    with pytest.raises(SystemExit, match="0"):
+        main(["config", "--help"])
