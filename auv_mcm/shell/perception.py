@@ -18,10 +18,10 @@ import contextlib
 import ctypes
 import multiprocessing
 import os
-import pickle
 import signal
 import tempfile
 from collections import deque
+from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -264,7 +264,7 @@ class Perception:
             self._die()
         self._came += came
         while len(self._came) >= (stop := _SIZE_BYTES + int.from_bytes(self._came[:_SIZE_BYTES], "big")):
-            answer = pickle.loads(self._came[_SIZE_BYTES:stop])
+            answer = ForkingPickler.loads(self._came[_SIZE_BYTES:stop])
             del self._came[:stop]
             self._take(answer)
 

@@ -255,6 +255,7 @@ def folder(prepared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, with
     ):
         monkeypatch.setattr(place, reached)
     monkeypatch.setattr("sim_replay.fitting.fit_theatre.can_train", lambda: True)
+    monkeypatch.setattr("sim_replay.fitting.verifier.build.needs_packages", lambda: None)
     monkeypatch.setattr(
         "sim_replay.fitting.measure_prices.measure_prices", lambda *_, **__: PriceList(BudgetConfig(), {})
     )

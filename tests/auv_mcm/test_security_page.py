@@ -78,6 +78,7 @@ def test_every_test_and_scenario_that_the_page_names_is_there() -> None:
 
 # What is read past the door, which names no file of a person: the kernel's, the service's own state, the package's own.
 PAST_THE_DOOR = {
+    "auv_mcm/program.py": "the sources of the package",
     "auv_mcm/shell/checkpoint.py": "the state of a session",
     "auv_mcm/shell/event_spool.py": "the state of a session",
     "auv_mcm/shell/journal_contacts.py": "the journal of a session",

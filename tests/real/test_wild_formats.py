@@ -86,7 +86,8 @@ def test_check_ends_in_one_line_of_a_sonar_that_pings_as_soon_as_it_is_connected
 
         threading.Thread(target=serve, daemon=True).start()
         link = f"tcp://127.0.0.1:{server.getsockname()[1]}"
-        config = parse_config(f"ports: [{{name: sonar, link: '{link}', device: ping_protocol}}]", "vehicle.yaml")
+        port = f"{{name: sonar, link: '{link}', device: ping_protocol}}"
+        config = parse_config(f"{{sonar: {{beam_width_deg: 0.5}}, ports: [{port}]}}", "vehicle.yaml")
         (found,) = port_findings(config, 1.0)
     assert (found.verdict, found.name) == ("ok", "port sonar")
     assert "pings of starboard, 580 samples a side to 22.7 m" in found.detail
