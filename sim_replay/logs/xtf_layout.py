@@ -47,6 +47,7 @@ PROBE_PINGS: Final = 50  # looked at before the first is given, to learn what al
 _PROBE_PACKETS: Final = 4 * PROBE_PINGS  # of side scan, as a ping may be four; to learn how they hold channels
 _PROBE_ITEMS: Final = 20 * _PROBE_PACKETS  # of any kind, among which they are looked for
 _TWO_WAY: Final = 0.71  # of a one-way beam width, for beams near a Gaussian: 1 / sqrt(2)
+_WIDER: Final = 1.05  # ratio of beam widths, below which the difference is rounding
 _WIDEST_DEG: Final = 20.0  # that may be configured; logs that state more mean something else
 
 
@@ -248,7 +249,7 @@ def raise_notices(layout: Layout, sonar: SonarConfig, report: LogReport) -> None
 
 def _raise_wide_beam(stated_deg: float, sonar: SonarConfig, report: LogReport, place: str) -> None:
     """Report a beam that is wider than the one used. Data sheets, and so logs, state one-way widths."""
-    if sonar.kind == "sas" or not sonar.used_beam_width_deg < _TWO_WAY * stated_deg <= _WIDEST_DEG:
+    if sonar.kind == "sas" or not _WIDER * sonar.used_beam_width_deg < _TWO_WAY * stated_deg <= _WIDEST_DEG:
         return
     report.notify(
         "reader.beam_is_wider",

@@ -406,6 +406,7 @@ def test_a_changed_weight_factor_is_scaled_to_the_first(tmp_path: Path) -> None:
         (0.0, {}, False),
         (35.0, {}, False),  # no width along the track
         (1.8, {"beam_width_deg": 1.3}, False),
+        (1.2, {"beam_width_deg": 0.85}, False),  # as the notice rounds it
         (1.8, {"kind": "sas"}, False),
     ],
 )
