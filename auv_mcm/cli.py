@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import errno
 import importlib.util
 import io
 import os
@@ -28,6 +29,14 @@ _EXTRAS = {
     "bench,dev": {"matplotlib", "PIL"},
 }
 """Packages that commands need, by what to install for them."""
+_REMEDIES = {
+    errno.EACCES: "Check the permissions of it and of the folders above it",
+    errno.EROFS: "Its disk can only be read: name another folder",
+    errno.ENOSPC: "Make room on its disk",
+    errno.EDQUOT: "Make room, or ask for a larger quota",
+    errno.EIO: "Its disk may be failing: copy what it holds",
+}
+"""What to do about errors of the system that no command expects."""
 _LARGE_PRODUCTS = (["train"], ["calibrate"])  # commands that multiply large matrices
 
 
@@ -66,7 +75,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except OSError as error:
-        return _fail(f"{error.filename or 'input or output'}: {error.strerror or error}", HardwareError.exit_code)
+        remedy = f". {_REMEDIES[error.errno]}" if error.errno in _REMEDIES else ""
+        words = f"{error.filename or 'input or output'}: {error.strerror or error}{remedy}"
+        return _fail(words, HardwareError.exit_code)
 
 
 def _fill_closed_streams() -> None:

@@ -350,10 +350,12 @@ def test_check_says_loudly_that_numpy_does_the_work_of_the_kernels(
     ("raised", "code", "words"),
     [
         (KeyboardInterrupt(), 130, "interrupted"),
-        (OSError(28, "No space left on device", "/out/report.html"), 4, "/out/report.html: No space left on device"),
+        (OSError(28, "Full", "/out/report.html"), 4, "/out/report.html: Full. Make room on its disk"),
+        (OSError(13, "No", "a/b"), 4, "a/b: No. Check the permissions of it and of the folders above it"),
+        (OSError(9, "Bad file descriptor"), 4, "input or output: Bad file descriptor"),
     ],
 )
-def test_ctrl_c_and_a_full_disk_are_one_line_and_an_exit_code(
+def test_ctrl_c_and_errors_of_the_system_are_one_line_and_an_exit_code(
     raised: BaseException, code: int, words: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("sim_replay.replay.replay", Mock(side_effect=raised))
