@@ -76,8 +76,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 0
     except OSError as error:
         remedy = f". {_REMEDIES[error.errno]}" if error.errno in _REMEDIES else ""
-        words = f"{error.filename or 'input or output'}: {error.strerror or error}{remedy}"
-        return _fail(words, HardwareError.exit_code)
+        text = f"{error.filename or 'input or output'}: {error.strerror or error}{remedy}"
+        return _fail(text, HardwareError.exit_code)
 
 
 def _fill_closed_streams() -> None:

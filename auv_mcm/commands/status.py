@@ -69,12 +69,13 @@ def _watch(path: Path) -> NoReturn:
 def _path(arguments: argparse.Namespace) -> Path:
     """Find the record to show."""
     from auv_mcm.shell.health.files import HEALTH
+    from auv_mcm.shell.latest_session import latest_session
 
     if arguments.session is not None:
         return Path(arguments.session) / HEALTH
     if arguments.config is None and (_RUNTIME / HEALTH).exists():
         return _RUNTIME / HEALTH
-    return Path(read_config(arguments.config).service.output_directory) / "latest" / HEALTH
+    return latest_session(Path(read_config(arguments.config).service.output_directory)) / HEALTH
 
 
 def _shown(health: Health) -> str:

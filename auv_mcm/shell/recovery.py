@@ -26,6 +26,7 @@ from auv_mcm.safe_files import read_regular, sync_directory, sync_file
 from auv_mcm.settings.config import Config, ServiceConfig
 from auv_mcm.shell.journal import Journal
 from auv_mcm.shell.journal_contacts import id_in
+from auv_mcm.shell.latest_session import latest_session
 from auv_mcm.shell.whole_files import write_file
 from auv_mcm.source import AnnouncedContact
 
@@ -83,12 +84,12 @@ class Ballast:
 
 
 def unfinished_session(parent: Path) -> Notice | None:
-    """Report that the session to which `latest` points has a recording but no results.
+    """Report that the last session has a recording but no results.
 
     It was killed, or the power was cut.
     """
     try:
-        last = parent / os.readlink(parent / "latest")
+        last = latest_session(parent)
         if (last / SUMMARY).exists() or not any((last / RECORDING).iterdir()) or Journal.is_in_use(last / JOURNAL):
             return None
     except (OSError, AuvMcmError):  # there is no such session, or it has no recording
@@ -145,7 +146,7 @@ def resumable_session(parent: Path, kind: str, now_s: float, within_h: float) ->
     now_s: UTC. A clock that is behind, as after a power cut without a battery, does not make a session too old.
     """
     try:
-        last = parent / os.readlink(parent / "latest")
+        last = latest_session(parent)
         if last.parent != parent or not (last / STATE).is_dir() or (last / STATE).is_symlink():
             return None
         if Journal.is_in_use(last / JOURNAL):

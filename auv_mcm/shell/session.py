@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import logging
-import os
-import secrets
 from collections import Counter
 from datetime import UTC, datetime
 from pathlib import Path
@@ -16,6 +13,7 @@ from auv_mcm.clock import Clock
 from auv_mcm.errors import UsageError
 from auv_mcm.records import Contact, EarlyContact, Notice, PipelineEvent
 from auv_mcm.settings.config import Config
+from auv_mcm.shell.latest_session import SESSION, point_latest_to
 from auv_mcm.shell.recovery import (
     Announced,
     SessionMemory,
@@ -26,8 +24,6 @@ from auv_mcm.shell.recovery import (
     unfinished_session,
 )
 from auv_mcm.shell.whole_files import make_directory
-
-log = logging.getLogger(__name__)
 
 
 class Session(NamedTuple):
@@ -105,23 +101,11 @@ def _new_folder(parent: Path, now_s: float) -> tuple[Path, float]:
     """
     make_directory(parent)
     for began_s in (now_s + second for second in range(1000)):
-        folder = parent / datetime.fromtimestamp(began_s, UTC).strftime("session-%Y%m%dT%H%M%SZ")
+        folder = parent / datetime.fromtimestamp(began_s, UTC).strftime(f"{SESSION}%Y%m%dT%H%M%SZ")
         try:
             folder.mkdir()
         except FileExistsError:
             continue
-        _point_latest_to(folder)
+        point_latest_to(folder)
         return folder, began_s
     raise UsageError(f"{parent} holds a thousand sessions up to {folder.name}: the computer's clock does not run")
-
-
-def _point_latest_to(folder: Path) -> None:
-    link, latest = folder.with_name(f".{secrets.token_hex(8)}.new"), folder.with_name("latest")
-    if os.path.lexists(latest) and not latest.is_symlink():
-        log.warning("no link 'latest' in %s: something else of that name is there. Move it away.", folder.parent)
-        return
-    try:
-        link.symlink_to(folder.name)
-        os.replace(link, latest)
-    except OSError as error:  # a file system without links, such as FAT on a memory card
-        log.warning("no link 'latest' in %s: %s", folder.parent, error.strerror)

@@ -17,6 +17,7 @@ from auv_mcm.commands import read_config
 from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.settings.config import Config
 from auv_mcm.shell.journal import Journal
+from auv_mcm.shell.latest_session import latest_session
 from auv_mcm.shell.snippet_files import make_results_directory
 from sim_replay.logs.archive import logs_of
 from sim_replay.logs.open_log import is_session, logs_config
@@ -80,7 +81,7 @@ def show(
         raise UsageError("name logs, the folder of results or of a session, or give --live")
     if live and (len(paths) > 1 or any(path.is_file() for path in paths)):
         raise UsageError("--live follows one session: name its folder, or none for the last; logs are shown without it")
-    folder = paths[0] if paths else Path((config or Config()).service.output_directory) / "latest"
+    folder = paths[0] if paths else latest_session(Path((config or Config()).service.output_directory))
     if live:
         wait_for_session(folder)
     if live or (len(paths) == 1 and is_shown(folder)):

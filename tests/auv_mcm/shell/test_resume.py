@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import json
 import os
 import signal
@@ -132,6 +133,20 @@ def test_what_a_power_cut_left_of_the_files_is_gone_on_with(tmp_path: Path) -> N
             file.write(b"\x07" * 100)
     after = serve(tmp_path, events(12, 24))
     assert (after.folder.resolve(), ids(after.folder), journal(after.folder)) == (folder, EXPECTED, EXPECTED)
+
+
+def test_a_session_on_a_memory_card_without_links_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(link: Path, target: str) -> None:
+        raise PermissionError(errno.EPERM, "Operation not permitted", str(link))  # as FAT does
+
+    monkeypatch.setattr(Path, "symlink_to", refuse)
+    (tmp_path / "session-20200101T000000Z").mkdir()
+    cut_off(tmp_path, events(0, 12), "C0006")
+    assert not (tmp_path / "latest").exists()
+    after = serve(tmp_path, events(12, 24))
+    assert len(list(tmp_path.glob("session-*"))) == 2
+    assert ids(after.folder) == journal(after.folder) == EXPECTED
+    assert [path.name for path in tmp_path.glob(".*")] == []
 
 
 def test_contacts_whose_events_are_lost_keep_their_numbers_to_themselves(tmp_path: Path) -> None:
