@@ -71,7 +71,8 @@ def _run(arguments: argparse.Namespace) -> int:
     }
     words = [
         *(f"failed: {clean(outcome.log.name)}: {clean(outcome.failure)}" for outcome in failed),
-        f"{len(outcomes)} logs, {len(failed)} failed; {len(objects)} objects",
+        f"{len(outcomes)} log{'s' * (len(outcomes) > 1)}, {len(failed)} failed; "
+        f"{len(objects)} object{'s' * (len(objects) != 1)}",
         f"index: {index}",
     ]
     answer(done, words, as_json=arguments.json)
