@@ -46,11 +46,12 @@ class Odometer:
 
     def go_to(self, time_s: float, heading_rad: float, speed_mps: float) -> WayMade:
         """Go on to a time, at which heading and speed are these (NaN: unknown), by the mean of both velocities."""
+        east_mps, north_mps, along_mps = self._velocity
         velocity = (speed_mps * math.sin(heading_rad), speed_mps * math.cos(heading_rad), abs(speed_mps))
         elapsed_s = time_s - self._time_s
-        east_m, north_m, way_m = (
-            0.5 * (before + now) * elapsed_s for before, now in zip(self._velocity, velocity, strict=True)
-        )
+        east_m = 0.5 * (east_mps + velocity[0]) * elapsed_s
+        north_m = 0.5 * (north_mps + velocity[1]) * elapsed_s
+        way_m = 0.5 * (along_mps + velocity[2]) * elapsed_s
         made = self._made
         if math.isnan(way_m):
             self._made = made._replace(leg=made.leg + 1.0)

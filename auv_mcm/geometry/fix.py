@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from typing import Final, NamedTuple
+from typing import Final
+
+import msgspec
 
 from auv_mcm.geometry.geodesy import ECCENTRICITY_SQUARED, SEMI_MAJOR_M
 from auv_mcm.geometry.sample_values import MAX_SPEED_MPS
@@ -12,7 +14,7 @@ JUMP_SLACK_M: Final = 3.0  # fixes scatter and are rounded, which over a few mil
 _N_SIGMA: Final = 3.0  # standard deviations: of sound fixes one in 370 is further off
 
 
-class Fix(NamedTuple):
+class Fix(msgspec.Struct, frozen=True, gc=False):
     """Hold one position on the ellipsoid at one time. x, y, z: Earth-centred metres. sigma_m: beyond any fix's own."""
 
     time_s: float

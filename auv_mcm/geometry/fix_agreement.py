@@ -106,6 +106,8 @@ class FixAgreement(Generic[F]):
     @property
     def waiting_since_s(self) -> float:
         """Give the time of the oldest fix that may still be accepted; inf if there is none."""
+        if not self._candidates:  # as a rule
+            return math.inf
         return min(
             (candidate.waiting[0].time_s for candidate in self._candidates if candidate.waiting), default=math.inf
         )

@@ -69,11 +69,12 @@ class NavBuffer:
         self._position = TimedValues(limits, width=6)
         self._heading = TimedValues(limits)
         self._pitch, self._roll, self._depth, self._altitude, self._speed = (TimedValues(limits) for _ in range(5))
-        self._plain = (self._pitch, self._roll, self._depth, self._altitude, self._speed)  # in the order of _FIELDS
+        self._plain = (self._pitch, self._roll, self._depth, self._altitude, self._speed)
+        self._measured = (self._heading, *self._plain)  # in the order of RANGES
         self._course = TimedValues(chord_limits)
         self._track_speed = TimedValues(chord_limits)
         self._way = TimedValues(limits, width=4)  # as WayMade
-        self._all = (self._position, self._heading, *self._plain, self._course, self._track_speed, self._way)
+        self._all = (self._position, *self._measured, self._course, self._track_speed, self._way)
         self._odometer = Odometer(config.max_gap_s)
         self._line = TrackSpeed()
         self._speed_check = SpeedCheck()
@@ -172,7 +173,7 @@ class NavBuffer:
         track_speed_s = self._track_speed.final_until(next_line_s)
         if self._is_undecided():
             return -math.inf
-        ready_s = min(channel.final_until(newest_s) for channel in (self._heading, *self._plain))
+        ready_s = min(channel.final_until(newest_s) for channel in self._measured)
         ready_s = min(ready_s, max(self._position.last_s, next_fix_s - self._lend_s - 2 * CLOCK_S))
         for channel, derived_s, verdicts in (
             (self._heading, course_s, self._heading_is_empty),
@@ -266,22 +267,14 @@ class NavBuffer:
         if self._oldest_s == -math.inf:
             self._oldest_s = time_s
         self._newest_s = time_s
-        latitude, longitude, heading, *plain = values_of(sample, self.counters)
+        latitude, longitude, *measured = values_of(sample, self.counters)
         if latitude == latitude or longitude == longitude:
             self._store_position(time_s, latitude, longitude, sample.position_sigma_m)
         if math.isfinite(self._agreement.waiting_since_s):
             self._decide(self._agreement.advance(time_s))
-        for channel, value, (name, low, high) in zip(
-            (self._heading, *self._plain), (heading, *plain), RANGES, strict=True
-        ):
-            if value != value:  # NaN: not measured
-                continue
-            if not math.isfinite(value):
-                self.counters["navigation.not_finite"] += 1
-            elif not low <= value <= high:
-                self.counters[f"navigation.{name}_out_of_range"] += 1
-                if channel is self._altitude and value == 0.0:
-                    self._count_zero_altitude(time_s)
+        for channel, value, (name, low, high) in zip(self._measured, measured, RANGES, strict=True):
+            if not low <= value <= high:
+                self._count_impossible(name, value, time_s)
             elif channel is self._speed and value == 0.0 and not self._has_speed:
                 self._last_speed_mps = 0.0  # never filled, or the vehicle stands: positions say which
             elif channel.last_s == time_s:
@@ -317,7 +310,8 @@ class NavBuffer:
         for fix, joined in new:
             if not self._line.takes(fix, joined=joined):
                 continue
-            estimate = self._line.add(TrackPoint(fix, *self._way.at_one(fix.time_s)), joined=joined)
+            way = self._way.at_one(fix.time_s)
+            estimate = self._line.add(TrackPoint(fix.time_s, fix.x, fix.y, fix.z, *way), joined=joined)
             if estimate is not None:
                 self._use_estimate(estimate)
 
@@ -363,10 +357,15 @@ class NavBuffer:
         if placed.hole_s and self._n_unbridged >= _SPARSE_INSTANTS:
             self._notices.fixes_sparse(placed.hole_s, self._position.limits.bridge_s, time_s)
 
-    def _count_zero_altitude(self, time_s: float) -> None:
-        self._n_zero_altitudes += 1
-        if self._n_zero_altitudes >= checks.ZERO_ALTITUDES:
-            self._notices.altitude_zero(time_s)
+    def _count_impossible(self, name: str, value: float, time_s: float) -> None:
+        if math.isfinite(value):
+            self.counters[f"navigation.{name}_out_of_range"] += 1
+            if name == "altitude" and value == 0.0:
+                self._n_zero_altitudes += 1
+                if self._n_zero_altitudes >= checks.ZERO_ALTITUDES:
+                    self._notices.altitude_zero(time_s)
+        elif not math.isnan(value):  # which is not measured
+            self.counters["navigation.not_finite"] += 1
 
     def _store_position(self, time_s: float, latitude: float, longitude: float, sigma_m: float) -> None:
         if not (math.isfinite(latitude) and math.isfinite(longitude)):
@@ -461,10 +460,10 @@ class NavBuffer:
     def _check_heading(self, time_s: float, course_rad: float) -> None:
         if self._heading_is_empty.newest:
             return
-        heading = self._heading.at(np.array([time_s]))
-        if not heading.fresh[0]:
+        (heading_rad,) = self._heading.at_one(time_s)
+        if math.isnan(heading_rad):
             return
-        offset_rad = self._heading_check.add(float(heading.values[0, 0]), course_rad)
+        offset_rad = self._heading_check.add(heading_rad, course_rad)
         if offset_rad is not None:
             self._notices.heading_off_course(offset_rad, time_s)
 

@@ -167,8 +167,9 @@ class NavigationWatch:
             return _scattered_course(courses[-_N_COURSES:]) if len(courses) >= _N_COURSES else []
         if len(self._chords) < _N_CHORDS:
             return []
-        (course_change, _), (change, scatter) = (_line(values) for values in zip(*self._chords, strict=True))
-        if abs(change) < _TURNED_RAD or scatter > _SCATTER_RAD or abs(course_change) > _STRAIGHT_RAD:
+        courses_rad, offs_rad = zip(*self._chords, strict=True)
+        change, scatter = _line(offs_rad)
+        if abs(change) < _TURNED_RAD or scatter > _SCATTER_RAD or abs(_line(courses_rad)[0]) > _STRAIGHT_RAD:
             return []
         text = (
             f"heading turned by {math.degrees(abs(change)):.0f} degrees against the course while the track went "

@@ -111,34 +111,33 @@ class TimedValues:
                 np.full(times.size, np.inf),
             )
         last = known_s.size - 1
-        right = np.searchsorted(known_s, times, side="right")
-        left = np.maximum(right - 1, 0)
-        since = np.where(right > 0, times - known_s[left], np.inf)
+        right = known_s.searchsorted(times, side="right")
         if times.size and right.max() <= last and right.min() > 0:
             # Between two values everywhere, as a rule close enough to each other.
-            span = known_s[right] - known_s[left]
+            left = right - 1
+            left_s, right_s = known_s[left], known_s[right]
+            span = right_s - left_s
             if span.max() <= limits.bridge_s + CLOCK_S and self._joined[self._start + right].all():
-                since = times - known_s[left]
-                values = known[left] + (since / span)[:, np.newaxis] * (known[right] - known[left])
-                return Values(values, np.ones(times.size, dtype=np.bool_), np.minimum(since, known_s[right] - times))
-        has_right = right <= last
-        right = np.minimum(right, last)
-        until = np.where(has_right, known_s[right] - times, np.inf)
-        until = np.where(until <= limits.look_ahead_s + CLOCK_S, until, np.inf)
-        span = known_s[right] - known_s[left]
+                since, low = times - left_s, known.take(left, axis=0)
+                values = low + (since / span)[:, np.newaxis] * (known.take(right, axis=0) - low)
+                return Values(values, np.ones(times.size, dtype=np.bool_), np.minimum(since, right_s - times))
+        has_left, has_right = right > 0, right <= last
+        left, right = np.maximum(right - 1, 0), np.minimum(right, last)
+        left_s, right_s = known_s[left], known_s[right]
+        since, until, span = np.where(has_left, times - left_s, np.inf), right_s - times, right_s - left_s
+        until = np.where(has_right & (until <= limits.look_ahead_s + CLOCK_S), until, np.inf)
         bridged = (
             np.isfinite(since)
             & np.isfinite(until)
             & (span <= limits.bridge_s + CLOCK_S)
             & self._joined[self._start + right]
         )
-        fraction = np.where(bridged, since, 0.0) / np.where(bridged, span, 1.0)
-        nearest = np.where(until < since, right, left)
         distance = np.minimum(since, until)
-        values = np.where(
-            bridged[:, np.newaxis], known[left] + fraction[:, np.newaxis] * (known[right] - known[left]), known[nearest]
-        )
-        values = np.where(np.isfinite(distance)[:, np.newaxis], values, NAN)
+        values = known.take(np.where(until < since, right, left), axis=0)
+        values[~np.isfinite(distance)] = NAN
+        low = known.take(left[bridged], axis=0)
+        share = since[bridged] / span[bridged]
+        values[bridged] = low + share[:, np.newaxis] * (known.take(right[bridged], axis=0) - low)
         return Values(values, bridged | (distance <= limits.fresh_s + CLOCK_S), distance)
 
     def at_one(self, time_s: float) -> tuple[float, ...]:
@@ -146,6 +145,8 @@ class TimedValues:
 
         They are those of `at`, in a tenth of its time between two values or at the newest.
         """
+        if self._new and time_s == self.last_s and isinstance(newest := self._new[-1][1], tuple):
+            return newest
         self._gather()
         start, stop = self._start, self._stop
         right = start + int(np.searchsorted(self._times[start:stop], time_s, side="right"))

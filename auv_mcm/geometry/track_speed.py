@@ -32,12 +32,15 @@ _COMPARED_M: Final = 50.0  # m of way, by the longer of both, over which a diffe
 
 
 class TrackPoint(NamedTuple):
-    """Hold a fix with the way by heading and measured speed until then, m.
+    """Hold a fix, Earth-centred, with the way by heading and measured speed until then, m.
 
     leg: counts where heading or speed were missing; NaN for what was never measured.
     """
 
-    fix: Fix
+    time_s: float
+    x: float
+    y: float
+    z: float
     east_m: float
     north_m: float
     way_m: float
@@ -75,37 +78,35 @@ class TrackSpeed:
     def earliest_middle_s(self, next_s: float) -> float:
         """Give the earliest middle that a line may have, of which the next fix comes at `next_s` or later."""
         points = self._points
-        if not points or next_s - points[-1].fix.time_s > _MAX_HOLE_S:
+        if not points or next_s - points[-1].time_s > _MAX_HOLE_S:
             return next_s
-        return 0.5 * (points[0].fix.time_s + next_s)
+        return 0.5 * (points[0].time_s + next_s)
 
     def clear(self) -> None:
         """Forget all fixes."""
         self._points.clear()
 
     def takes(self, fix: Fix, *, joined: bool) -> bool:
-        """Check whether `add` would keep the next fix, before its way is known."""
+        """Check whether the next fix is to be added, before its way is known."""
         points = self._points
-        return not points or not joined or not fix.time_s - points[-1].fix.time_s < _SPACING_S
+        return not points or not joined or not fix.time_s - points[-1].time_s < _SPACING_S
 
     def add(self, point: TrackPoint, *, joined: bool) -> SpeedEstimate | None:
-        """Take the next fix; `joined` is False if the vehicle cannot have travelled there from the last one."""
-        points, time_s = self._points, point.fix.time_s
-        if points and (not joined or time_s - points[-1].fix.time_s > _MAX_HOLE_S):
+        """Take a fix it `takes`; `joined` is False if the vehicle cannot have travelled there from the last one."""
+        points, time_s = self._points, point.time_s
+        if points and (not joined or time_s - points[-1].time_s > _MAX_HOLE_S):
             points.clear()
-        if not self.takes(point.fix, joined=joined):
-            return None
         points.append(point)
-        while len(points) > _MIN_FIXES and time_s - points[0].fix.time_s > WINDOW_S:
+        while len(points) > _MIN_FIXES and time_s - points[0].time_s > WINDOW_S:
             points.popleft()
-        if time_s - points[0].fix.time_s < _MIN_SPAN_S or time_s - self._last_estimate_s < _PERIOD_S:
+        if time_s - points[0].time_s < _MIN_SPAN_S or time_s - self._last_estimate_s < _PERIOD_S:
             return None
         return self._estimate(_MIN_FIXES)
 
     def at_end(self) -> SpeedEstimate | None:
         """Lay a line through what there is, because a caller cannot wait for more."""
         points = self._points
-        if len(points) < 2 or points[-1].fix.time_s - points[0].fix.time_s < _MIN_FORCED_SPAN_S:
+        if len(points) < 2 or points[-1].time_s - points[0].time_s < _MIN_FORCED_SPAN_S:
             return None
         return self._estimate(2)
 
@@ -113,15 +114,16 @@ class TrackSpeed:
         points = self._points
         if len(points) < min_fixes:
             return None
-        start_s, end_s = points[0].fix.time_s, points[-1].fix.time_s
-        values = np.array([(p.fix.time_s - start_s, *p.fix[1:4], *p[1:4]) for p in points])
-        values -= values.mean(axis=0)
+        start_s, end_s = points[0].time_s, points[-1].time_s
+        values = np.array([point[:-1] for point in points])  # all but the leg
+        values[:, 0] -= start_s
+        values -= values.sum(axis=0) / len(points)
         times = values[:, 0]
         spread = float(times @ times)
         slopes = times @ values[:, 1:] / spread
         residuals = values[:, 1:4] - times[:, np.newaxis] * slopes[:3]
         n_free = len(points) - 2
-        sigma_mps = math.sqrt(float(np.sum(residuals * residuals)) / n_free / spread) if n_free else math.inf
+        sigma_mps = math.sqrt(float((residuals * residuals).sum()) / n_free / spread) if n_free else math.inf
         is_whole = points[0].leg == points[-1].leg
         measured_mps = math.hypot(slopes[3], slopes[4]) if is_whole else float(slopes[5])
         is_straight = not is_whole or measured_mps >= _MIN_STRAIGHTNESS * slopes[5]
@@ -129,7 +131,7 @@ class TrackSpeed:
         self._last_estimate_s = end_s
         return SpeedEstimate(
             middle_s=0.5 * (start_s + end_s),
-            speed_mps=float(np.linalg.norm(slopes[:3])),
+            speed_mps=math.sqrt(slopes[:3] @ slopes[:3]),
             sigma_mps=sigma_mps,
             measured_mps=measured_mps,
             elapsed_s=end_s - since_s,

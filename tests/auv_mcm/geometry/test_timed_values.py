@@ -22,6 +22,8 @@ def test_one_instant_is_read_as_many_are(
     for step_s, first, second, joined in steps:
         times.append(times[-1] + step_s)
         values.append(times[-1], (first, second), joined)
+        if joined:  # read before it is put with the others, or not
+            np.testing.assert_array_equal(values.at_one(times[-1]), (first, second))
     values.forget_before(1.7e9 + forgotten_s)
     for time_s in (1.7e9 + between_s, times[which % len(times)], times[-1]):
         found = values.at(np.array([time_s]))
