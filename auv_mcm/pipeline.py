@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractContextManager
 from functools import partial
 from itertools import repeat
 from typing import Any, Final
@@ -55,7 +54,7 @@ from auv_mcm.seabed.seabed_cells import seabed_cells
 from auv_mcm.seabed.seabed_model import configured_seabed_model
 from auv_mcm.settings.config import Config
 from auv_mcm.skips import NO_SKIPS, Skips
-from auv_mcm.stage_costs import UNTIMED, Timed
+from auv_mcm.stage_costs import StageTimers
 from auv_mcm.tile_notices import (
     candidates_over_budget,
     cheapest_pass_over,
@@ -125,9 +124,9 @@ class Pipeline:
         self._config = config
         self._reference_pings, self._overlap_m = reference_pings, overlap_m
         self._without_skips = without_skips
-        self._timer = timer
-        self._counts: Counter[str] = Counter()
         self.costs_s: dict[str, float] = {}
+        self._timed = StageTimers(timer, self.costs_s)
+        self._counts: Counter[str] = Counter()
         self._intake = Intake(config, self._counts)
         self._navigation_watch = NavigationWatch()
         self._sampling = Sampling()
@@ -231,19 +230,21 @@ class Pipeline:
         if isinstance(event, Notice):
             return [event]
         if isinstance(event, NavSample):
-            with self._timed("intake"):
+            with self._timed["intake"]:
                 found: list[PipelineEvent] = [*self._intake.add_navigation(event), *self._navigation_watch.add(event)]
                 return found + self._run(released) if (released := self._intake.let_go()) else found
         self._counts["ping.received"] += 1
         prepared = self._prepare(event)
-        unusable = [notice for side in SIDES for notice in self._samples[side].take_notices(event.place)]
+        port, starboard = self._samples["port"], self._samples["starboard"]
+        events: list[PipelineEvent] = [*port.take_notices(event.place), *starboard.take_notices(event.place)]
         if prepared is None:
-            return [*unusable]
-        self._n_new_samples += sum(
-            trace.samples.size for trace in (prepared.port, prepared.starboard) if trace is not None
-        )
-        events: list[PipelineEvent] = [*unusable, *self._check_samples(prepared), *self._sampling.add(prepared)]
-        with self._timed("law"):
+            return events
+        for check, trace in ((port, prepared.port), (starboard, prepared.starboard)):
+            if trace is not None:
+                self._n_new_samples += trace.samples.size
+                events += check.check(trace, event.place)
+        events += self._sampling.add(prepared)
+        with self._timed["law"]:
             verdict = self._law.add(prepared)
         if self._waterfall is None:
             self._undecided.append(prepared)
@@ -265,12 +266,12 @@ class Pipeline:
         if verdict is not None:
             events += self._begin(verdict) if self._waterfall is None else verdict.notices
         if self._waterfall is not None:
-            with self._timed("intake"):
+            with self._timed["intake"]:
                 released = self._intake.flush()
             events += self._run(released)
         if self._threads is not None:
             self._threads.shutdown()
-        with self._timed("calls"):
+        with self._timed["calls"]:
             events += self._calls.announce((), self._ledger.numbered, is_last=True)
         return [*events, *self._calls.take_notices()]
 
@@ -283,12 +284,6 @@ class Pipeline:
         if port is ping.port and starboard is ping.starboard:
             return ping
         return msgspec.structs.replace(ping, port=port, starboard=starboard)
-
-    def _check_samples(self, ping: Ping) -> list[Notice]:
-        traces = {"port": ping.port, "starboard": ping.starboard}
-        return [
-            n for side in SIDES if (t := traces[side]) is not None for n in self._samples[side].check(t, ping.place)
-        ]
 
     def _begin(self, verdict: LawVerdict) -> list[PipelineEvent]:
         """Run the pings that waited for the first verdict, which names their transfer."""
@@ -303,7 +298,7 @@ class Pipeline:
         return events
 
     def _take(self, ping: Ping) -> list[PipelineEvent]:
-        with self._timed("intake"):
+        with self._timed["intake"]:
             released = self._intake.add_ping(ping)
         return self._run(released)
 
@@ -312,7 +307,7 @@ class Pipeline:
         events: list[PipelineEvent] = [*self._intake.take_notices()]
         for item in released:
             if isinstance(item, SegmentEnd):
-                with self._timed("waterfall"):
+                with self._timed["waterfall"]:
                     tiles = self._waterfall.close_segment()
                 events += self._look(tiles)
                 events += self._conclude([self._suppressors[side].flush() for side in SIDES])
@@ -320,7 +315,7 @@ class Pipeline:
                 if item.transfer is not None:
                     self._waterfall.read_as(item.transfer)
             else:
-                with self._timed("waterfall"):
+                with self._timed["waterfall"]:
                     tiles = self._waterfall.add(self._intake.place_along_track(item))
                 events += self._look(tiles)
                 events += self._look_early(self._waterfall)
@@ -330,7 +325,7 @@ class Pipeline:
         """Look at rows whose tile is not complete. What fails here is announced when the tile is complete."""
         if self._early is None or self._room < 1.0:  # a service that is behind drops this first
             return []
-        with self._timed("early"):
+        with self._timed["early"]:
             found = caught(partial(self._early.look, waterfall.newest))
         if not isinstance(found, Defect):
             return [*found]
@@ -341,7 +336,7 @@ class Pipeline:
         if not tiles:
             return []
         allowances = self._allowances(tiles)
-        with self._timed("detect"):
+        with self._timed["detect"]:
             found = list((map if self._threads is None else self._threads.map)(self._detect, tiles, allowances))
         events: list[PipelineEvent] = self._too_dear(tiles, allowances)
         settled: list[list[Detection]] = []
@@ -377,7 +372,7 @@ class Pipeline:
             self._counts["detect.tiles_clear_contrasts"] += result.clear_contrasts
             self._counts["detect.over_budget"] += result.n_over_budget
             self._counts["detect.without_position"] += result.n_without_position
-            with self._timed("suppress"):
+            with self._timed["suppress"]:
                 settled.append(
                     self._suppressors[tile.side].add(result.detections, tile.first_row + tile.core_stop, result.faint)
                 )
@@ -385,9 +380,9 @@ class Pipeline:
 
     def _cover(self, tile: Tile, evaluated: float) -> CoveragePatch:
         grid = self._cells_around(tile)
-        with self._timed("seabed"):
+        with self._timed["seabed"]:
             seabed = None if grid is None else self._seabed_of(tile)
-        with self._timed("coverage"):
+        with self._timed["coverage"]:
             assert self._waterfall is not None
             blind_rows = self._sampling.coarse_rows(tile) | self._waterfall.unheard_rows(tile)
             return cover_tile(tile, self._config.sonar, evaluated, grid, seabed, blind_rows)
@@ -451,7 +446,7 @@ class Pipeline:
         events: list[PipelineEvent] = []
         final: list[Detection] = []
         config, mapped = self._config.confirm, map if self._threads is None else self._threads.map
-        with self._timed("confirm"):
+        with self._timed["confirm"]:
             for detections in settled:
                 done = confirm_tile(
                     detections, config, self._odds, self._opinions, self._look_closely, mapped, self._without_skips
@@ -462,9 +457,9 @@ class Pipeline:
                     events.append(looks_over_budget(detections[0], n_over_budget))
                 self._counts.update(done.counters)
                 final += done.detections
-        with self._timed("ledger"):
+        with self._timed["ledger"]:
             changed = self._ledger.add(final)
-        with self._timed("calls"):
+        with self._timed["calls"]:
             events += self._calls.announce(changed, self._ledger.numbered)
         if self._early is not None:
             settled_to_row = {side: suppressor.settled_to_row for side, suppressor in self._suppressors.items()}
@@ -484,6 +479,3 @@ class Pipeline:
             if not isinstance(found, Defect):
                 yield from found
         yield from repeat(None)
-
-    def _timed(self, stage: str) -> AbstractContextManager[None]:
-        return UNTIMED if self._timer is None else Timed(stage, self._timer, self.costs_s)
