@@ -79,7 +79,7 @@ class Pair(NamedTuple):
         return not self.by_packet or _is_same(kilohertz(frequency_khz), self.used_khz)
 
 
-def channel_index(packing: Packing, channels: Sequence[Channel], head: ChannelHead, index: int) -> int:
+def channel_index(packing: Packing, channels: Sequence[Channel], number: int, frequency_khz: float, index: int) -> int:
     """Return which channel of the file header a packet's channel is; as many as there are for none.
 
     Parameters
@@ -88,23 +88,25 @@ def channel_index(packing: Packing, channels: Sequence[Channel], head: ChannelHe
         How the log numbers channels.
     channels
         As the file header describes them.
-    head
+    number, frequency_khz
         What the packet states.
     index
         The channel's place within its ping.
     """
     n_channels = len(channels)
-    number = head.number
     match packing.numbering:
-        case "by_order":
-            number = index
-        case "from_one":
-            number -= 1
         case "by_number":
             number = number if number < n_channels else index
+        case "from_one":
+            number -= 1
+        case "by_order":
+            number = index
     if not 0 <= number < n_channels:
         return n_channels
-    khz, described = kilohertz(head.frequency_khz), channels[number]
+    described = channels[number]
+    if frequency_khz == described.frequency:  # as a rule
+        return number
+    khz = kilohertz(frequency_khz)
     if khz > 0.0 < described.frequency and not _is_same(khz, kilohertz(described.frequency)):
         # Some recorders begin to count anew for every frequency; then the frequency names the channel.
         same = [c for c in channels if c.kind == described.kind and _is_same(khz, kilohertz(c.frequency))]
@@ -174,7 +176,7 @@ def choose_pair(
     seen: dict[int, Counter[float]] = {}
     for ping in _pings(heads, packing, len(channels)):
         for place, head in enumerate(ping):
-            index = channel_index(packing, channels, head, place)
+            index = channel_index(packing, channels, head.number, head.frequency_khz, place)
             if head.n_samples or (index < len(channels) and channels[index].legacy_samples):
                 seen.setdefault(index, Counter())[kilohertz(head.frequency_khz)] += 1
     few = _OFTEN * max((counts.total() for counts in seen.values()), default=0)

@@ -8,6 +8,7 @@ from itertools import chain, islice
 from typing import Final
 
 import numpy as np
+from msgspec.structs import replace
 
 from drivers.navigation.corrections import offset_m
 from sim_replay.logs.xtf_fields import KNOT_MPS
@@ -81,7 +82,7 @@ def _counted(probe: list[RawPing], pings: Iterator[RawPing], report: LogReport) 
     for number, raw in enumerate(pings):
         midnights += runs and raw.day_s < last_s - 0.5 * _DAY_S
         last_s = raw.day_s
-        yield raw._replace(time_s=midnights * _DAY_S + raw.day_s if runs else number * interval_s)
+        yield replace(raw, time_s=midnights * _DAY_S + raw.day_s if runs else number * interval_s)
 
 
 def _interval_s(probe: list[RawPing]) -> float:

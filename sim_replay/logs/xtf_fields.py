@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import struct
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
+import msgspec
 import pyxtf
 
 from auv_mcm.records import NAN
@@ -15,7 +16,7 @@ PING_HEADER: Final = 256  # bytes (XTF)
 CHANNEL_HEADER: Final = 64  # bytes (XTF)
 
 
-class PingTime(NamedTuple):
+class PingTime(msgspec.Struct, frozen=True, gc=False):
     """Hold the time in a ping's header, in the order of the format, under pyxtf's names."""
 
     Year: int
@@ -32,7 +33,7 @@ class PingTime(NamedTuple):
         return 3600.0 * self.Hour + 60.0 * self.Minute + self.Second + 0.01 * self.HSeconds
 
 
-class PingHeader(NamedTuple):
+class PingHeader(msgspec.Struct, frozen=True, gc=False):
     """Hold the other fields read of a ping's header, likewise."""
 
     SoundVelocity: float
@@ -51,7 +52,7 @@ class PingHeader(NamedTuple):
     SensorHeading: float
 
 
-class ChannelHeader(NamedTuple):
+class ChannelHeader(msgspec.Struct, frozen=True, gc=False):
     """Hold the fields read of a channel's header in a ping, likewise."""
 
     ChannelNumber: int
@@ -79,20 +80,20 @@ def _packed(structure: Any, names: tuple[str, ...]) -> struct.Struct:
     return struct.Struct(code)
 
 
-_TIME: Final = _packed(pyxtf.XTFPingHeader, PingTime._fields)
-_PING: Final = _packed(pyxtf.XTFPingHeader, PingHeader._fields)
+_TIME: Final = _packed(pyxtf.XTFPingHeader, PingTime.__struct_fields__)
+_PING: Final = _packed(pyxtf.XTFPingHeader, PingHeader.__struct_fields__)
 _NUMBER: Final = _packed(pyxtf.XTFPingHeader, ("PingNumber",))
-_CHANNEL: Final = _packed(pyxtf.XTFPingChanHeader, ChannelHeader._fields)
+_CHANNEL: Final = _packed(pyxtf.XTFPingChanHeader, ChannelHeader.__struct_fields__)
 
 
 def ping_time(packet: bytes) -> PingTime:
     """Return the time of a ping packet."""
-    return PingTime._make(_TIME.unpack_from(packet))
+    return PingTime(*_TIME.unpack_from(packet))
 
 
 def ping_header(packet: bytes) -> PingHeader:
     """Return the other fields of a ping packet's header."""
-    return PingHeader._make(_PING.unpack_from(packet))
+    return PingHeader(*_PING.unpack_from(packet))
 
 
 def ping_number(packet: bytes) -> int:
@@ -103,7 +104,7 @@ def ping_number(packet: bytes) -> int:
 
 def channel_header(packet: bytes, offset: int) -> ChannelHeader:
     """Return the header of a channel that begins at a byte of a ping packet."""
-    return ChannelHeader._make(_CHANNEL.unpack_from(packet, offset))
+    return ChannelHeader(*_CHANNEL.unpack_from(packet, offset))
 
 
 def number_or_nan(value: float) -> float:

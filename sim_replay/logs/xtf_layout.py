@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from itertools import islice
 from typing import Any, BinaryIO, Final, NamedTuple
 
+import msgspec
 import pyxtf
 
 from auv_mcm.errors import BadInputError
@@ -55,7 +56,7 @@ class NoSideScanError(BadInputError):
     """Signal a file without side-scan channels: the caller completes the message with what the file holds instead."""
 
 
-class Extent(NamedTuple):
+class Extent(msgspec.Struct, frozen=True, gc=False):
     """Hold where a packet holds a channel's samples: its description, offset and length, None beyond the packet."""
 
     channel: Channel | None
@@ -122,7 +123,7 @@ def extents(packing: Packing, described: Sequence[Channel], data: bytes, n_befor
             return
         header = channel_header(data, offset)
         offset += CHANNEL_HEADER
-        number = channel_index(packing, described, _channel_head(header), n_before + index)
+        number = channel_index(packing, described, header.ChannelNumber, header.Frequency, n_before + index)
         if number >= len(described):
             yield Extent(None, offset, None, NO_CHANNEL)
             return
@@ -159,7 +160,8 @@ def packet_head(
     for n_before in dict.fromkeys((sum(len(part.channels) for part in before), 0)):
         found = list(extents(packing, described, data, n_before))
         if found and all(extent.n_bytes is not None for extent in found):
-            heads = tuple(_channel_head(extent.header) for extent in found)
+            headers = (extent.header for extent in found)
+            heads = tuple(ChannelHead(h.ChannelNumber, h.NumSamples, float(h.Frequency)) for h in headers)
             return PacketHead(ping_number(data), ping_time(data).of_day_s, heads)
     return None
 
@@ -274,7 +276,3 @@ def _first_heads(file: BinaryIO, offset: int, described: Sequence[Channel]) -> l
                 heads.append(head)
     file.seek(at)
     return heads
-
-
-def _channel_head(header: ChannelHeader) -> ChannelHead:
-    return ChannelHead(header.ChannelNumber, header.NumSamples, float(header.Frequency))

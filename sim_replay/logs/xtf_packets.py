@@ -11,6 +11,8 @@ import struct
 from collections.abc import Container, Iterator
 from typing import BinaryIO, Final, NamedTuple, TypeAlias
 
+import msgspec
+
 MAGIC: Final = b"\xce\xfa"
 FILE_FORMAT: Final = 0x7B  # first byte of a file header
 HEADER_BLOCK: Final = 1024  # bytes: a file header is a multiple of it (XTF)
@@ -20,7 +22,7 @@ _START: Final = struct.Struct("<2sBBHxxxxI")  # magic, type, sub-channel, channe
 _SEARCH_BYTES: Final = 1 << 16  # read at a time to find the next packet after damage; bounds memory
 
 
-class XtfPacket(NamedTuple):
+class XtfPacket(msgspec.Struct, frozen=True, gc=False):
     """Hold a whole packet of a wanted type, or the mere place of another (`data` is empty then)."""
 
     offset: int

@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Iterator
-from typing import Any, BinaryIO, Final, NamedTuple
+from typing import Any, BinaryIO, Final
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,7 +25,7 @@ _MAX_AHEAD: Final = 64  # pings read ahead, which bounds memory: two seconds of 
 _MAX_DURATION_S: Final = 5.0  # s of a trace, 3750 m; a longer one is damage
 
 
-class Trace(NamedTuple):
+class Trace(msgspec.Struct, frozen=True, eq=False):
     """Hold one side of a ping. samples: as stored."""
 
     samples: NDArray[Any]
@@ -33,7 +34,7 @@ class Trace(NamedTuple):
     weight: int
 
 
-class RawPing(NamedTuple):
+class RawPing(msgspec.Struct, frozen=True, eq=False):
     """Hold a ping as stored. day_s: since midnight, by a clock whose date may be impossible; time_s is NaN then."""
 
     offset: int
@@ -128,6 +129,7 @@ class PingReader:
     def _ping(self, packets: list[XtfPacket]) -> RawPing | None:
         """Make a ping of the packets that hold its channels."""
         report, layout, packet = self._report, self.layout, packets[0]
+        used = layout.port_number, layout.starboard_number
         traces: dict[int, Trace] = {}
         empty, n_before, interval_s = False, 0, NAN
         for part in packets:
@@ -138,8 +140,7 @@ class PingReader:
                     report.damaged(DamagedBytes(part.offset, len(part.data), what, at_end=False))
                     return None
                 number = extent.channel.number
-                is_used = number in (layout.port_number, layout.starboard_number)
-                if not is_used or extent.channel.dtype is None or not layout.pair.takes(extent.header.Frequency):
+                if number not in used or extent.channel.dtype is None or not layout.pair.takes(extent.header.Frequency):
                     report.counters["reader.other_channel"] += 1
                     continue
                 trace = self._trace(extent, part)
@@ -163,15 +164,15 @@ class PingReader:
             ping_header(packet.data),
             NAN if time_s is None else time_s,
             interval_s,
-            traces.get(layout.port_number),
-            traces.get(layout.starboard_number),
+            traces.get(used[0]),
+            traces.get(used[1]),
             clock.of_day_s,
             clock.Year,
         )
 
     def _trace(self, extent: Extent, packet: XtfPacket) -> Trace | None:
         """Return the samples of a channel; None for none, or without a range."""
-        channel, _, n_bytes, header = extent
+        channel, n_bytes, header = extent.channel, extent.n_bytes, extent.header
         if channel is None or channel.dtype is None or n_bytes is None:
             return None
         n_samples = n_bytes // channel.dtype.itemsize

@@ -6,6 +6,7 @@ from collections import Counter
 from typing import NamedTuple
 
 import numpy as np
+from msgspec.structs import replace
 
 from auv_mcm.settings.config import SonarConfig
 from sim_replay.logs.port_order import DECISIVE, PortOrderEvidence, port_order_evidence
@@ -26,14 +27,14 @@ class Change(NamedTuple):
     def apply(self, raw: RawPing) -> RawPing:
         """Return the ping with what is done to it."""
         if raw.port is not None and "port" in self.signed:
-            raw = raw._replace(port=raw.port._replace(samples=magnitude(raw.port.samples)))
+            raw = replace(raw, port=replace(raw.port, samples=magnitude(raw.port.samples)))
         if raw.starboard is not None and "starboard" in self.signed:
-            raw = raw._replace(starboard=raw.starboard._replace(samples=magnitude(raw.starboard.samples)))
+            raw = replace(raw, starboard=replace(raw.starboard, samples=magnitude(raw.starboard.samples)))
         only = raw.port or raw.starboard
         if not self.splits or only is None or (raw.port is not None and raw.starboard is not None):
             return raw
         port, starboard = halves(only.samples)
-        return raw._replace(port=only._replace(samples=port), starboard=only._replace(samples=starboard))
+        return replace(raw, port=replace(only, samples=port), starboard=replace(only, samples=starboard))
 
 
 class Orders(NamedTuple):
@@ -179,7 +180,7 @@ def learn_orders(probe: list[RawPing], sonar: SonarConfig, report: LogReport) ->
     """
     is_turned = _starboard_is_turned(probe, sonar.blank_m, report)
     if is_turned:
-        probe = [raw._replace(starboard=_reversed(raw.starboard)) for raw in probe]
+        probe = [replace(raw, starboard=_reversed(raw.starboard)) for raw in probe]
     return Orders(_port_order(probe, sonar, report) == "far_to_near", is_turned)
 
 
@@ -218,14 +219,14 @@ def _port_order(probe: list[RawPing], sonar: SonarConfig, report: LogReport) -> 
 
 def _starboard_is_turned(probe: list[RawPing], blank_m: float, report: LogReport) -> bool:
     """Check whether starboard is stored far to near, which the format does not provide for."""
-    alone = _probe_port_order([raw._replace(port=raw.starboard, starboard=None) for raw in probe], blank_m)
+    alone = _probe_port_order([replace(raw, port=raw.starboard, starboard=None) for raw in probe], blank_m)
     if alone is None or alone.total < DECISIVE:
         return False
-    port = _probe_port_order([raw._replace(starboard=None) for raw in probe], blank_m)
+    port = _probe_port_order([replace(raw, starboard=None) for raw in probe], blank_m)
     likeness = 0.0
     if port is not None and abs(port.total) >= DECISIVE:
-        near = [raw._replace(port=_reversed(raw.port)) for raw in probe] if port.total > 0.0 else probe
-        pairs = [raw._replace(port=raw.starboard, starboard=raw.port) for raw in near]
+        near = [replace(raw, port=_reversed(raw.port)) for raw in probe] if port.total > 0.0 else probe
+        pairs = [replace(raw, port=raw.starboard, starboard=raw.port) for raw in near]
         with_port = _probe_port_order(pairs, blank_m)
         likeness = 0.0 if with_port is None else with_port.starboard
     if alone.total < 2 * DECISIVE and alone.total + likeness < 3 * DECISIVE:
@@ -243,7 +244,7 @@ def _starboard_is_turned(probe: list[RawPing], blank_m: float, report: LogReport
 
 
 def _reversed(trace: Trace | None) -> Trace | None:
-    return None if trace is None else trace._replace(samples=trace.samples[::-1])
+    return None if trace is None else replace(trace, samples=trace.samples[::-1])
 
 
 def _probe_port_order(probe: list[RawPing], blank_m: float) -> PortOrderEvidence | None:

@@ -70,7 +70,7 @@ class HeaderNavigation:
             heading = NAN
         last, now = self._last, (latitude, longitude, heading, *values[3:])
         self._last = now
-        if last and _all_alike(last, now):
+        if now == last:  # NAN, one object, equals itself in a tuple
             report.counters["reader.repeated_navigation"] += 1
             return None
         if (last and (latitude, longitude) == last[:2]) or math.isnan(latitude) or math.isnan(longitude):
@@ -104,7 +104,7 @@ class HeaderNavigation:
             )
             report.notify_once("reader.impossible_position", text, report.place(offset))
             return NAN, NAN
-        if not -180.0 <= longitude < 180.0:
+        if longitude < -180.0 or longitude >= 180.0:
             longitude = (longitude + 180.0) % 360.0 - 180.0
         return latitude, longitude
 
@@ -224,8 +224,3 @@ class Echoes:
             first_range_m=delay * speed / 2.0 + 0.5 * spacing,
             spacing_m=spacing,
         )
-
-
-def _all_alike(values: tuple[float, ...], others: tuple[float, ...]) -> bool:
-    """Compare numbers of which NaN equals NaN."""
-    return values == others or all(a == b or (a != a and b != b) for a, b in zip(values, others, strict=True))

@@ -244,6 +244,13 @@ def test_a_header_that_repeats_all_navigation_brings_no_sample(tmp_path: Path) -
     assert len(pings_of(read_events)) == 6
 
 
+@pytest.mark.parametrize("field", ["SensorYcoordinate", "SensorXcoordinate", "SensorHeading", "SensorSpeed"])
+def test_what_is_unknown_again_is_repeated(tmp_path: Path, field: str) -> None:
+    path = written(tmp_path / "log.xtf", [event for n in range(6) for event in (navigation(0), ping(n))])
+    edit_headers(path, lambda _, header: setattr(header, field, math.nan))
+    assert read(path)[1].counters["reader.repeated_navigation"] == 5
+
+
 def test_units_and_signs_are_those_of_the_format(tmp_path: Path) -> None:
     path = written(tmp_path / "log.xtf", 2)
 
