@@ -21,6 +21,7 @@ from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import CoveragePatch, Ping, PipelineEvent
 from auv_mcm.settings.config import Config, parse_config
 from sim_replay.logs.open_log import open_log
+from sim_replay.logs.recorded import several_at_once
 
 MODULE: Final = "sim_replay.benches.run_time.one_run"
 DEFAULT: Final = "default"
@@ -43,7 +44,7 @@ def run_chain(log: Path, config: Config, contacts: Path) -> dict[str, object]:
     def area_m2(events: list[PipelineEvent]) -> float:
         return sum(event.covered_m2 for event in events if isinstance(event, CoveragePatch))
 
-    for event in open_log(log, config):
+    for event in several_at_once(open_log(log, config)):
         read_s += time.process_time() - mark
         if isinstance(event, Ping):
             first_s = event.time_s if n_pings == 0 else first_s
