@@ -10,7 +10,7 @@ from __future__ import annotations
 import ctypes
 import functools
 from collections.abc import Callable
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,14 +80,8 @@ _NUMBERS: Final = {
     "f": ctypes.c_float,
     "d": ctypes.c_double,
 }
-_NOTHING: Final = ctypes.c_char * 0
-
-
-class Argument(NamedTuple):
-    """Declare an argument. of_array: of any type where `dtype` is None, in which C may write."""
-
-    of_array: bool
-    dtype: np.dtype[Any] | None
+_memory_of: Final = (ctypes.c_char * 0).from_buffer
+"""Gives what C takes for the address of an array it may write to, in a quarter of the time of `ctypes.data`."""
 
 
 def call(name: str, *arguments: Any) -> bool:
@@ -112,41 +106,48 @@ def call_in(library: ctypes.CDLL | None, name: str, signature: str, *arguments: 
     """
     if library is None:
         return False
-    function, declared = _declared(library, name, signature)
-    arrays, values = [], []
-    for argument, (of_array, dtype) in zip(arguments, declared, strict=True):
-        if not of_array or argument is None:
-            values.append(argument)
+    function, n_arguments, arrays = _declared(library, name, signature)
+    if len(arguments) != n_arguments:
+        raise ValueError(f"{name} takes {n_arguments} arguments, not {len(arguments)}")
+    values = list(arguments)
+    for place, dtype in arrays:
+        array = values[place]
+        if array is None:
             continue
-        array = argument
-        if not array.flags.c_contiguous or (dtype is not None and array.dtype != dtype):
-            if dtype is None:
-                raise ValueError(f"{name} writes to arrays that are contiguous, not one of shape {array.shape}")
-            array = np.ascontiguousarray(array, dtype=dtype)
-        arrays.append(array)  # what was copied lives as long as the call
-        values.append(_address(array))
+        if not array.flags.carray or (dtype is not None and array.dtype != dtype):  # may be written, row by row
+            array = _laid_out(name, array, dtype)
+        values[place] = _memory_of(array) if array.flags.writeable else array.ctypes.data_as(ctypes.c_void_p)
     function(*values)
     return True
 
 
-def _address(array: NDArray[Any]) -> int:
-    """Give where an array's numbers are.
-
-    A quarter of the time that `array.ctypes.data` takes, which read-only and empty arrays need.
-    """
-    if array.flags.writeable and array.size:
-        return ctypes.addressof(_NOTHING.from_buffer(array))  # type: ignore[arg-type]  # numpy types no buffer
-    return int(array.ctypes.data)
+def _laid_out(name: str, array: NDArray[Any], dtype: np.dtype[Any] | None) -> NDArray[Any]:
+    """Give an array row by row and in a type, as it is if it has both."""
+    if dtype is not None:
+        return np.ascontiguousarray(array, dtype=dtype)
+    if not array.flags.c_contiguous:
+        raise ValueError(f"{name} writes to arrays that are contiguous, not one of shape {array.shape}")
+    return array
 
 
 @functools.cache
-def _declared(library: ctypes.CDLL, name: str, signature: str) -> tuple[Callable[..., None], tuple[Argument, ...]]:
-    """Give a C function and its arguments."""
+def _declared(
+    library: ctypes.CDLL, name: str, signature: str
+) -> tuple[Callable[..., None], int, list[tuple[int, np.dtype[Any] | None]]]:
+    """Give a C function, the number of its arguments, and the places of arrays among them with their types.
+
+    The type is None for any, in which C may write.
+    """
     function: Callable[..., None] = getattr(library, f"auv_mcm_{name}")
     words = signature.split()
     function.argtypes = [_NUMBERS.get(word, ctypes.c_void_p) for word in words]  # type: ignore[attr-defined]
     function.restype = None  # type: ignore[attr-defined]
-    return function, tuple(
-        Argument(word not in _NUMBERS, None if word in _NUMBERS or word[0] == "a" else np.dtype(word.rstrip("?")))
-        for word in words
+    return (
+        function,
+        len(words),
+        [
+            (place, None if word[0] == "a" else np.dtype(word.rstrip("?")))
+            for place, word in enumerate(words)
+            if word not in _NUMBERS
+        ],
     )
