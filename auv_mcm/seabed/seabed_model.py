@@ -51,7 +51,7 @@ class Gaussian(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     novelty: Annotated[float, Meta(gt=0.0, le=1e6)]
 
 
-class SeabedModel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class SeabedModel(msgspec.Struct, frozen=True, cache_hash=True, kw_only=True, forbid_unknown_fields=True):
     """Describe the textures of each kind of sea floor.
 
     fitted_on: the missions. inputs: names of what is weighed, in order: textures, and the natural logarithm of the

@@ -8,6 +8,7 @@ costs the same wherever it stands. The band of a pixel depends on y / (H - h) al
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from typing import Final
@@ -51,9 +52,12 @@ WINDOW: Final = FeatureBox(-WINDOW_ROWS_M, WINDOW_ROWS_M, -WINDOW_NEAR_M, 0.0, W
 """Surroundings of an object and its shadow."""
 
 
+@functools.cache
 def shadow_edges_m() -> NDArray[np.float64]:
-    """Compute the shadow lengths between the bands, m, (N_BANDS + 1,) float64."""
-    return np.geomspace(*SHADOW_LIMITS_M, N_BANDS + 1)
+    """Compute the shadow lengths between the bands, m, (N_BANDS + 1,) float64, read-only."""
+    edges_m = np.geomspace(*SHADOW_LIMITS_M, N_BANDS + 1)
+    edges_m.flags.writeable = False
+    return edges_m
 
 
 def band_shadows_m() -> NDArray[np.float64]:

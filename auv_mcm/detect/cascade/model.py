@@ -80,7 +80,7 @@ class ExpectedPd(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     pd: _Share
 
 
-class CascadeModel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class CascadeModel(msgspec.Struct, frozen=True, cache_hash=True, kw_only=True, forbid_unknown_fields=True):
     """Hold a trained cascade.
 
     kind: "soft" adds scores up over all groups, "stages" starts at 0 in each. groups: stumps; after group g windows
