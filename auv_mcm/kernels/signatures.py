@@ -69,6 +69,7 @@ SIGNATURES: Final = {
     "waterfall_sums": "i i f4 a",
     "waterfall_sums_of_bytes": "i i u1 f4 a",
     "waterfall_sums_of_words": "i i u2 f4 a",
+    "waterfall_usable": "i f4 u1 f f a a a",
     "waterfall_votes": "i i f8 d d d a",
 }
 """By name, without auv_mcm_."""

@@ -2,6 +2,21 @@
 
 #include "waterfall.h"
 
+/* intensity, mask (n): usable are pixels that are VALID and not SATURATED. level: out, intensity, 0 where not usable;
+ * bounded: the same within [low, high], 1 where not usable.
+ */
+WIDE void auv_mcm_waterfall_usable(int64_t n, const float *restrict intensity, const uint8_t *restrict mask, float low,
+                                   float high, float *restrict level, float *restrict bounded, uint8_t *restrict usable)
+{
+    for (int64_t i = 0; i < n; i++) {
+        const int32_t is = (mask[i] & (VALID | SATURATED)) == VALID;
+        const float above = intensity[i] < low ? low : intensity[i], within = above > high ? high : above;
+        usable[i] = (uint8_t)is;
+        level[i] = is ? intensity[i] : 0.0f;
+        bounded[i] = is ? within : 1.0f;
+    }
+}
+
 /* What a box of rows holds: sums above its first row and below its last one, from the image's corner on, and valid
  * pixels by column. Of the box around each column: count, how many pixels are valid, and per_count, one over that or 1.
  */

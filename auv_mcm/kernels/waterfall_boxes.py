@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.kernels.signatures import call
-from auv_mcm.records import VALID
+from auv_mcm.records import SATURATED, VALID
 
 Plane = NDArray[np.float32]
 Values = NDArray[np.float64]
@@ -22,6 +22,33 @@ Masks = NDArray[np.uint8]
 _ROWS_SUMMED: Final = 8  # 2 ROWS_TOGETHER of waterfall.h
 # one pixel in so many has room at first: large arrays that are hardly used cost page faults
 _USUAL_SHARE_OF_BRIGHT: Final = 16
+
+
+class Usable(NamedTuple):
+    """Hold the usable pixels of an image, which are VALID and not SATURATED, all (n_rows, n_columns).
+
+    level: float32, 0 where not usable; bounded: the same within bounds, 1 where not usable; usable: bool.
+    """
+
+    level: Plane
+    bounded: Plane
+    usable: Flags
+
+
+def usable_pixels(intensity: Plane, mask: Masks, low: float, high: float) -> Usable:
+    """Select the usable pixels of an image, (n_rows, n_columns), as they are and bounded by `low` and `high`."""
+    level, bounded = np.empty(mask.shape, dtype=np.float32), np.empty(mask.shape, dtype=np.float32)
+    found = Usable(level, bounded, np.empty(mask.shape, dtype=np.bool_))
+    if not call("waterfall_usable", mask.size, intensity, mask, low, high, *found):
+        return usable_pixels_numpy(intensity, mask, low, high)
+    return found
+
+
+def usable_pixels_numpy(intensity: Plane, mask: Masks, low: float, high: float) -> Usable:
+    """Do as usable_pixels, in numpy alone."""
+    usable = (mask & (VALID | SATURATED)) == VALID
+    bounded = np.clip(intensity, np.float32(low), np.float32(high))
+    return Usable(np.where(usable, intensity, np.float32(0.0)), np.where(usable, bounded, np.float32(1.0)), usable)
 
 
 def bright_spots(

@@ -15,10 +15,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.kernels.waterfall_boxes import Levelled, box_level, bright_spots, divide_by_level
+from auv_mcm.kernels.waterfall_boxes import Levelled, box_level, bright_spots, divide_by_level, usable_pixels
 from auv_mcm.kernels.waterfall_rows import along_curve, angle_sums
 from auv_mcm.kernels.waterfall_rows import row_medians as medians_of_rows
-from auv_mcm.records import SATURATED, VALID
+from auv_mcm.records import VALID
 
 N_ANGLE_BINS: Final = 180  # of the angle response over 90°: half a degree each
 _BIN_RAD: Final = math.pi / 2.0 / N_ANGLE_BINS
@@ -202,8 +202,7 @@ def local_mean(
         (n_rows, n_columns); intensity has the angle curve taken off and is 0 where not usable.
     """
     half = _half_box(row_spacing_m, column_spacing_m)
-    level = np.array(intensity, dtype=np.float32, order="C")
-    _clip_glints(level, usable, half)
+    level, _ = _without_glints(intensity, usable * np.uint8(VALID), half)
     return box_level(level, usable, half, _MIN_VALID_FRACTION)
 
 
@@ -224,9 +223,7 @@ def level_out(
         Those whose mean is returned as well.
     """
     half = _half_box(row_spacing_m, column_spacing_m)
-    usable = (mask & (VALID | SATURATED)) == VALID
-    level = np.where(usable, intensity, np.float32(0.0))
-    _clip_glints(level, usable, half)
+    level, usable = _without_glints(intensity, mask, half)
     return divide_by_level(intensity, mask, level, usable, half, _MIN_VALID_FRACTION, columns)
 
 
@@ -234,15 +231,18 @@ def _half_box(row_spacing_m: float, column_spacing_m: float) -> tuple[int, int]:
     return max(1, round(0.5 * LOCAL_MEAN_M / row_spacing_m)), max(1, round(0.5 * LOCAL_MEAN_M / column_spacing_m))
 
 
-def _clip_glints(level: NDArray[np.float32], usable: NDArray[np.bool_], half: tuple[int, int]) -> None:
-    """Bring pixels above their limit down to it, in place. level: 0 where not usable."""
+def _without_glints(
+    intensity: NDArray[np.float32], mask: NDArray[np.uint8], half: tuple[int, int]
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Take the usable pixels of an image, those above their limit brought down to it; 0 elsewhere. Returns also which
+    are usable."""
     # The angle curve has brought the sea floor to about 1, so the clip holds whatever the gain.
-    log_level = np.clip(level, np.float32(math.exp(-_CLIP_NATS)), np.float32(math.exp(_CLIP_NATS)))
-    np.log(log_level, out=log_level)
-    log_level *= usable
+    level, bounded, usable = usable_pixels(intensity, mask, math.exp(-_CLIP_NATS), math.exp(_CLIP_NATS))
+    logarithms = np.log(bounded, out=bounded)
     # Hardly any pixel reaches its limit, which takes an exponential: comparing logarithms shows which may.
     places, log_limits = bright_spots(
-        log_level, usable, half, np.euler_gamma + math.log(_GLINT_LIMIT), _CLIP_NATS, _SLACK_NATS
+        logarithms, usable, half, np.euler_gamma + math.log(_GLINT_LIMIT), _CLIP_NATS, _SLACK_NATS
     )
     flat = level.ravel()
     flat[places] = np.minimum(flat[places], np.exp(log_limits).astype(np.float32))
+    return level, usable
