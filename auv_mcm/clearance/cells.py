@@ -137,7 +137,7 @@ def _blocks(tile: Tile, covered: NDArray[np.bool_], sonar: SonarConfig, frame: L
     place_m = near_m[of_block] * (1.0 - share) + far_m[of_block] * share
     every = _Blocks(area_m2[at_row, at_column], row[of_block], ground_m, place_m, (far_m - near_m)[of_block])
     finite = np.isfinite(place_m).all(axis=1)
-    return _Blocks(*(values[finite] for values in every))
+    return every if finite.all() else _Blocks(*(values[finite] for values in every))
 
 
 def _sums(covered: NDArray[np.bool_], n_rows: int, n_columns: int) -> Array:

@@ -39,7 +39,7 @@ def in_large_shadow(tile: Tile) -> NDArray[np.bool_]:
     valid = (tile.mask[whole] & VALID).astype(np.float32)
     echo, share = (
         np.asarray(cv2.resize(part, (n_columns, n_rows), interpolation=cv2.INTER_AREA), dtype=np.float32)
-        for part in (np.where(valid > 0.0, tile.intensity[whole], np.float32(0.0)), valid)
+        for part in (tile.intensity[whole], valid)  # 0 where not valid
     )
     shadowed = np.zeros((n_rows, n_columns), dtype=np.uint8)
     for along_m, across_m in LARGE_M:

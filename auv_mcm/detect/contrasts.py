@@ -93,7 +93,9 @@ class Contrasts(NamedTuple):
             max(1, round(radius_m / tile.row_spacing_m)),
             max(1, round(radius_m / tile.column_spacing_m)),
         )
-        score = np.where((tile.mask & LOW_RESOLUTION) != 0, np.float32(-np.inf), self.score)
+        scored = np.flatnonzero(self.score > -np.inf)
+        score = self.score.copy()
+        score.ravel()[scored[(tile.mask.ravel()[scored] & LOW_RESOLUTION) != 0]] = -np.inf
         places = peaks_of(score, (tile.core_start, tile.core_stop), half_row, half_column)
         rows, columns = np.divmod(places, score.shape[1])
         found = [
@@ -113,12 +115,9 @@ class Contrasts(NamedTuple):
             )
             for row, column in zip(rows, columns, strict=True)
         ]
-        missing = np.zeros(self.score.shape, dtype=np.bool_)
-        for part in parts:
-            if self.score[part].max() == -np.inf:
-                missing[part] = True
         score = self.score
-        places = _scored(self, np.flatnonzero(missing & self.known))
+        missing = [part for part in parts if score[part].max() == -np.inf]
+        places = _scored(self, _known_in(self.known, missing))
         if places.size:
             score = score.copy()
             score.ravel()[places] = scores_at(self, places)
@@ -380,6 +379,15 @@ def _shadows(tile: Tile, grid: PixelGrid) -> Shadows:
         length_m=prescreen.SHADOW_LENGTH_M,
         least_share=prescreen.MIN_SHADOW,
     )
+
+
+def _known_in(known: NDArray[np.bool_], parts: Sequence[tuple[slice, slice]]) -> NDArray[np.intp]:
+    """Select the known pixels of parts that may overlap. Places rise."""
+    found = [np.empty(0, dtype=np.intp)]
+    for rows, columns in parts:
+        down, across = known[rows, columns].nonzero()
+        found.append((rows.start + down) * known.shape[1] + columns.start + across)
+    return np.unique(np.concatenate(found))
 
 
 def _scored(tile: Contrasts, places: NDArray[np.integer]) -> Places:
