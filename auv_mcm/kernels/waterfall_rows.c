@@ -235,10 +235,13 @@ static double median(int64_t n, const double *restrict values, double *restrict 
             return 0.5 * (under + over);
         }
     }
+    /* Without branches, which half of the values would surprise. */
+    const double low = bracket.low, high = bracket.high_is_open ? bracket.high : nextafter(bracket.high, INFINITY);
     int64_t left = 0;
-    for (int64_t i = 0; i < n; i++)
-        if (values[i] >= bracket.low && (bracket.high_is_open ? values[i] < bracket.high : values[i] <= bracket.high))
-            room[left++] = values[i];
+    for (int64_t i = 0; i < n; i++) {
+        room[left] = values[i];
+        left += (values[i] >= low) & (values[i] < high);
+    }
     sort_few(left, room);
     return 0.5 * (room[first - bracket.below] + room[second - bracket.below]);
 }
