@@ -57,6 +57,7 @@ SIGNATURES: Final = {
     "viterbi_forward": "i i i d f8 a a a",
     "waterfall_angle_sums": "i i i f8 i8 f8 b1 f8? d a a a",
     "waterfall_curve": "i f8 f8 f8 i f8 i4 a",
+    "waterfall_floor": "i i b1 d d a a",
     "waterfall_glints": "i i i i f4 b1 d d d a a a a i a a a",
     "waterfall_level": "i i i i d f4 b1 a a a a a i f4? u1? a? a? i i8? a? a?",
     "waterfall_masks": "i i f8 f8 b1 f8 u1 i8 b1 b1 d a",

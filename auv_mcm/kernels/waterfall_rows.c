@@ -267,6 +267,45 @@ void auv_mcm_waterfall_medians(int64_t n_rows, int64_t n, const double *restrict
     }
 }
 
+/* Lowest of the values that are sure, infinity where none is. */
+WIDE static double lowest_of(int64_t n, const double *restrict values, const uint8_t *restrict sure)
+{
+    double low[8];
+    for (int64_t k = 0; k < 8; k++)
+        low[k] = INFINITY;
+    for (int64_t i = 0; i + 8 <= n; i += 8)
+        for (int64_t k = 0; k < 8; k++)
+            low[k] = sure[i + k] && values[i + k] < low[k] ? values[i + k] : low[k];
+    for (int64_t i = n - n % 8; i < n; i++)
+        low[0] = sure[i] && values[i] < low[0] ? values[i] : low[0];
+    for (int64_t k = 1; k < 8; k++)
+        low[0] = low[k] < low[0] ? low[k] : low[0];
+    return low[0];
+}
+
+WIDE static void raise_row(int64_t n, const uint8_t *restrict sure, double floor, double *restrict values)
+{
+    for (int64_t i = 0; i < n; i++) {
+        const double value = values[i] > floor ? values[i] : floor;
+        values[i] = sure[i] ? value : 1.0;
+    }
+}
+
+/* sure (n_rows, n). room (n + 1): overwritten. values (n_rows, n), not negative: in and out, raised to a share of their
+ * row's median and `least` more, 1 where not sure.
+ */
+void auv_mcm_waterfall_floor(int64_t n_rows, int64_t n, const uint8_t *restrict sure, double share, double least,
+                             double *restrict room, double *restrict values)
+{
+    for (int64_t row = 0; row < n_rows; row++) {
+        double *restrict here = values + row * n;
+        const double lowest = lowest_of(n, here, sure + row * n), bound = lowest * ((1.0 - 1e-9) / share);
+        /* Where most values are below the lowest over the share, so is the median, and the floor below the lowest. */
+        const int is_above = lowest > 1e20 * least && 2 * count_below(n, here, bound) > n;
+        raise_row(n, sure + row * n, is_above ? 0.0 : share * median(n, here, room) + least, here);
+    }
+}
+
 /* values (n_pings, n_columns), factor (any, n_columns), factor_row (n_pings): which of them a ping has. product: out.
  */
 WIDE void auv_mcm_waterfall_scale(int64_t n_pings, int64_t n_columns, const double *restrict values,

@@ -162,6 +162,21 @@ def row_medians_numpy(values: Values, usable: Flags | None, minimum: int) -> Val
     return np.where(count >= max(minimum, 1), 0.5 * (filled[rows, low] + filled[rows, high]), np.nan)
 
 
+def raise_to_floor(values: Values, sure: Flags, share: float, least: float) -> None:
+    """Raise values (n_rows, n_columns), not negative, to a share of the median of their row and `least` more, in place.
+
+    What is not sure, bool of the same shape, becomes 1.
+    """
+    if not call("waterfall_floor", *values.shape, sure, share, least, np.empty(values.shape[1] + 1), values):
+        raise_to_floor_numpy(values, sure, share, least)
+
+
+def raise_to_floor_numpy(values: Values, sure: Flags, share: float, least: float) -> None:
+    """Do as raise_to_floor, in numpy alone."""
+    np.maximum(values, share * row_medians_numpy(values, None, 1)[:, np.newaxis] + least, out=values)
+    values[~sure] = 1.0
+
+
 def scale_rows(values: Values, factor: Values, factor_row: Rows) -> Plane:
     """Multiply values by factor[factor_row], (n_rows, n_columns) float32. factor: (n, n_columns)."""
     product = np.empty(values.shape, dtype=np.float32)

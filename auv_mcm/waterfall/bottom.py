@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.kernels.viterbi import backtrack, viterbi_forward
-from auv_mcm.kernels.waterfall_rows import row_medians
+from auv_mcm.kernels.waterfall_rows import raise_to_floor
 from auv_mcm.kernels.waterfall_steps import add_votes, pull_to_reading, step_ratios
 from auv_mcm.waterfall.ground import Traces, mean_between
 
@@ -26,6 +26,8 @@ BIN_M: Final = 0.05  # m of slant range: the step of the search
 _WINDOW_M: Final = 0.5  # m on either side of a change point whose means are compared
 _LOG_VARIANCE: Final = math.pi**2 / 6.0
 _MIN_STEP: Final = math.log(2.0)
+_FAINTEST: Final = 1e-6  # of a ping's median intensity, below which an echo counts as that faint
+_SMALLEST: Final = 1e-300  # keeps logarithms finite
 _SIDE_VOTE: Final = 10.0  # nats that one side may add to a score, maximum
 # of first return and altitude reading, either way, beyond which the reading speaks against a range
 _ALTITUDE_RATIO: Final = 1.6
@@ -199,7 +201,9 @@ class BottomTracker:
             means = mean_between(traces, edges_m)
             # share of bins that do not repeat their neighbour's sample
             independent = min(1.0, BIN_M / traces.spacing_m)
-            log_intensity = np.log(_not_below_floor(means.intensity))
+            # Against a median, because ring-down may stand a hundred decibels above everything that follows.
+            raise_to_floor(means.intensity, means.valid, _FAINTEST, _SMALLEST)
+            log_intensity = np.log(means.intensity, out=means.intensity)
             ratios = change_point_scores(log_intensity, means.valid, self._blank_bins)
             # Every side of every ping has the same weight: a loud fish, on one side, must not outvote the other and its
             # neighbours.
@@ -207,19 +211,6 @@ class BottomTracker:
         score[stated] = 0.0
         pull_to_reading(score, altitude_m, BIN_M, _ALTITUDE_RATIO, _OUTSIDE_GATE, _ALTITUDE_PULL)
         return score
-
-
-def _not_below_floor(intensity: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Raise what is less than a millionth of a ping's median to that; (n_pings, n_bins).
-
-    A median, because ring-down may stand a hundred decibels above everything that follows.
-    """
-    lowest = intensity.min(axis=1, keepdims=True)
-    # Where most values are below a million times the lowest, so is the median, and the floor below the lowest.
-    below = np.count_nonzero(intensity <= lowest * (1e6 * (1.0 - 1e-9)), axis=1)
-    if (2 * below > intensity.shape[1]).all() and (lowest > 1e-280).all():
-        return intensity
-    return np.maximum(intensity, 1e-6 * row_medians(intensity, None, 1)[:, np.newaxis] + 1e-300)
 
 
 def _stated_m(sides: list[Traces | None], altitude_m: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -167,7 +167,7 @@ class Waterfall:
             ground.valid, ground.saturated, turning, geometry.ground_m, geometry.coarse, level_row, max_ratio
         )
         positive = ground.valid & (ground.intensity > 0.0)
-        log_intensity = _logarithms(ground.intensity, positive)
+        log_intensity = _logarithms(ground.intensity)
         learnable = positive & ~ground.saturated
         seabed_level = ping_levels(log_intensity, learnable)
         water_level = self._water_level(traces, first_return_m)
@@ -214,7 +214,7 @@ class Waterfall:
         edges = self._config.sonar.blank_m + np.arange(max(n_bins, 1) + 1, dtype=np.float64) * _LEVEL_BIN_M
         means = mean_between(traces, edges[None, :])
         usable = means.valid & (means.intensity > 0.0) & (edges[None, 1:] < _WATER_FRACTION * first_return_m[:, None])
-        return ping_levels(_logarithms(means.intensity, usable), usable)
+        return ping_levels(_logarithms(means.intensity), usable)
 
 
 def _near_level(traces: Traces, first_return_m: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -225,9 +225,10 @@ def _near_level(traces: Traces, first_return_m: NDArray[np.float64]) -> NDArray[
     means = mean_between(traces, edges_m)  # with what lies between the bins
     usable = means.valid & (means.intensity > 0.0)
     usable[:, 1::2] = False
-    return ping_levels(_logarithms(means.intensity, usable), usable)
+    return ping_levels(_logarithms(means.intensity), usable)
 
 
-def _logarithms(values: NDArray[np.float64], usable: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Take natural logarithms of usable values, which are positive; 0 elsewhere."""
-    return np.asarray(np.log(values if usable.all() else np.where(usable, values, 1.0)))
+def _logarithms(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Take natural logarithms of values, of what is not positive that of the smallest number."""
+    positive = np.maximum(values, np.finfo(np.float64).tiny)
+    return np.asarray(np.log(positive, out=positive))

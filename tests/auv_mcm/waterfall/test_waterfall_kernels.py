@@ -179,6 +179,21 @@ def test_c_levels_as_numpy_does(seed: int, shape: tuple[int, int], half: tuple[i
 
 
 @needs_c
+@given(seed=seeds, shape=shapes, spread=st.sampled_from([0.0, 1.0, 20.0]))
+@settings(deadline=None)
+def test_c_raises_to_a_floor_as_numpy_does(seed: int, shape: tuple[int, int], spread: float) -> None:
+    intensity, usable, _ = drawn(seed, shape)
+    random = np.random.Generator(np.random.PCG64(seed))
+    values = intensity.astype(np.float64) * np.exp(random.normal(0.0, spread, shape))
+    both = values.copy(), values.copy()
+    for raised, raise_to in zip(both, (by_row.raise_to_floor, by_row.raise_to_floor_numpy), strict=True):
+        raise_to(raised, usable, 1e-6, 1e-300)
+    same(*both)
+    floor = 1e-6 * np.median(values, axis=1, keepdims=True) + 1e-300
+    np.testing.assert_array_equal(both[0], np.where(usable, np.maximum(values, floor), 1.0))
+
+
+@needs_c
 @given(seed=seeds, shape=shapes)
 @settings(deadline=None)
 def test_c_masks_as_numpy_does(seed: int, shape: tuple[int, int]) -> None:
