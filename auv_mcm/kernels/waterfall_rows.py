@@ -232,7 +232,7 @@ def along_curve(angle: Values, bins: NDArray[np.intp], level: Values) -> Values:
     Bins are whole and rising; ends count for what lies beyond.
     """
     middle = bins + 0.5
-    slope = np.diff(level) / np.diff(middle)
+    slope = (level[1:] - level[:-1]) / (middle[1:] - middle[:-1])
     last = int(max(angle.max(initial=0.0), 0.0)) + 2
     place = (np.searchsorted(bins, np.arange(-1, last), side="right") - 1).astype(np.int32)
     curve = np.empty(angle.shape)

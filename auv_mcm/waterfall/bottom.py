@@ -223,9 +223,13 @@ def _path(end: int, scored: _Scored) -> _Path:
     """Trace the best path that ends in bin `end` of the block's last ping."""
     score = scored.score
     bins = backtrack(end, scored.back)
-    pings = np.arange(bins.shape[0])
-    evidence = np.maximum.reduce([score[pings, np.clip(bins + offset, 0, score.shape[1] - 1)] for offset in (-1, 0, 1)])
-    return _Path(bins, evidence)
+    near = np.clip(bins[:, np.newaxis] + (-1, 0, 1), 0, score.shape[1] - 1)
+    return _Path(bins, score[np.arange(len(bins))[:, np.newaxis], near].max(axis=1))
+
+
+def _windows(start: int, stop: int, reach: int) -> NDArray[np.intp]:
+    """List the pings within `reach` of each of pings [start, stop), (stop - start, 2 reach + 1)."""
+    return np.arange(start, stop)[:, np.newaxis] + np.arange(-reach, reach + 1)
 
 
 def _running_means(values: NDArray[np.float64], reach: int, start: int, stop: int) -> NDArray[np.float64]:
@@ -237,9 +241,7 @@ def _running_means(values: NDArray[np.float64], reach: int, start: int, stop: in
     whole_stop = max(min(stop, values.shape[0] - reach), whole_start)
     means = np.empty(stop - start)
     if whole_stop > whole_start:
-        windows = np.lib.stride_tricks.sliding_window_view(
-            values[whole_start - reach : whole_stop + reach], 2 * reach + 1
-        )
+        windows = values[_windows(whole_start, whole_stop, reach)]
         means[whole_start - start : whole_stop - start] = windows.mean(axis=1)
     for ping in [*range(start, whole_start), *range(whole_stop, stop)]:
         means[ping - start] = values[max(ping - reach, 0) : ping + reach + 1].mean()
@@ -257,9 +259,7 @@ def _running_medians(bins: NDArray[np.int64], reach: int, start: int, stop: int)
     whole_stop = max(min(stop, last - reach + 1), whole_start)
     medians = np.empty(stop - start)
     if whole_stop > whole_start:
-        windows = np.lib.stride_tricks.sliding_window_view(
-            bins[whole_start - reach : whole_stop + reach], 2 * reach + 1
-        )
+        windows = bins[_windows(whole_start, whole_stop, reach)]
         medians[whole_start - start : whole_stop - start] = np.partition(windows, reach, axis=1)[:, reach]
     for ping in [*range(start, whole_start), *range(whole_stop, stop)]:
         half = min(reach, ping, last - ping)

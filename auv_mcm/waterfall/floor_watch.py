@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_mcm.kernels.order import median
 from auv_mcm.records import Notice, Side, Tile
 
 NEAR_M: Final = 0.25  # m behind the first return, where the floor stands out in full
@@ -37,7 +38,7 @@ class FloorWatch:
         """Take the rise from water to floor of a block's pings, nats, NaN where unknown; return what it raises."""
         known = rise[np.isfinite(rise)]
         limit = 2.0 * _MIN_RISE if self._n_in_a_row else _MIN_RISE  # a few pings at the end scatter more
-        if not known.size or not float(np.median(known)) < limit:
+        if not known.size or not median(known) < limit:
             self._n_in_a_row = 0
             return []
         goes_on = self._n_in_a_row > 0 and self._unheard_s[-1][1] < times_s[0]  # unless a clock was set back

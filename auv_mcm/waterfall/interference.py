@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.kernels.interference import PINGS, here, lone_echoes, middle_two
+from auv_mcm.kernels.order import median
 from auv_mcm.records import Notice, Side
 
 _STRONG: Final = 50.0  # intensity over that of the pings around, which shows interference; speckle and glints reach 30
@@ -50,7 +51,7 @@ class InterferenceFilter:
         along_m
             (n_pings,) distance along the track.
         """
-        if len(intensity) < PINGS or float(np.median(np.diff(along_m))) > _MAX_SPACING_M:
+        if len(intensity) < PINGS or median(np.diff(along_m)) > _MAX_SPACING_M:
             return intensity, []
         found, around = lone_echoes(intensity, _WEAK, _STRONG)
         n_struck = _count_struck(intensity, found, around)
@@ -80,7 +81,7 @@ class InterferenceFilter:
 
 def _count_struck(intensity: NDArray[np.float64], found: NDArray[np.uint8], around: NDArray[np.float64]) -> int:
     """Count the pings with strong echoes. Single pings stand out of a large shadow, too, but not of the block."""
-    pings = np.flatnonzero((found > 1).any(axis=1))
+    pings = np.flatnonzero(found.max(axis=1, initial=0) > 1)
     if not pings.size:
         return 0
     strong = (found[pings] > 1) & (here(intensity[pings]) > _WEAK * around.mean(axis=0))

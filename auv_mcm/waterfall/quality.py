@@ -37,6 +37,13 @@ class CheckedTrace(NamedTuple):
     saturated: NDArray[np.bool_]
 
 
+class _CountTable(NamedTuple):
+    """Hold the intensity of every count, rising. is_wide: whether one may be absurd beside another."""
+
+    intensity: NDArray[np.float32]
+    is_wide: bool
+
+
 def _absurd(intensity: NDArray[np.float32]) -> NDArray[np.bool_] | None:
     """Find samples a hundred decibels above the middle one, None if there are none.
 
@@ -64,8 +71,7 @@ class TraceChecker:
         self._previous: NDArray[Any] | None = None
         self._first: EchoTrace | None = None  # of this layout
         self._n_filled = 0  # samples of this layout up to the last one that was ever another number than zero
-        self._tables: dict[np.dtype[Any], NDArray[np.float32]] = {}  # intensity by count, per sample type
-        self._rising: dict[np.dtype[Any], bool] = {}
+        self._tables: dict[np.dtype[Any], _CountTable | None] = {}  # per sample type
 
     def check(self, trace: EchoTrace) -> CheckedTrace:
         """Compute linear intensity with validity and saturation of one recorded trace."""
@@ -81,18 +87,19 @@ class TraceChecker:
         layout = traces[0].first_range_m, traces[0].spacing_m
         kind = traces[0].samples.dtype
         is_whole = self._filled(traces) >= traces[0].samples.size > 0
-        if is_whole and self._rises(kind) and all(trace.samples.dtype == kind for trace in traces):
-            samples, table = _stacked(traces), self._tables[kind]
+        table = self._table(kind) if is_whole and all(trace.samples.dtype == kind for trace in traces) else None
+        if table is not None:
+            samples, intensity = _stacked(traces), table.intensity
             highest_count = samples.max(axis=1, initial=0)
-            highest = table[highest_count]
-            step = max(samples.shape[1] // _SOME, 1)
-            sparse, n_samples = table[samples[:, ::_SPARSE]], samples.shape[1]
-            unsure = _may_be_absurd(sparse if step == _SPARSE else table[samples[:, ::step]], highest)
-            if not (unsure.any() or _may_be_dead(sparse, n_samples, highest).any() or self._stuck(samples).any()):
+            highest = intensity[highest_count]
+            some = samples[:, :: max(samples.shape[1] // _SOME, 1)]
+            is_unsure = table.is_wide and bool(_may_be_absurd(intensity.take(some), highest).any())
+            sparse = intensity.take(samples[:, ::_SPARSE])
+            if not (is_unsure or _may_be_dead(sparse, samples.shape[1], highest).any() or self._stuck(samples).any()):
                 saturated = self._saturated(samples, highest_count)
                 self._count_saturation(traces[0], saturated)
                 self._previous = traces[-1].samples
-                return Traces(sums_of_counts(samples, table), None, sum_of_clipped(saturated), *layout)
+                return Traces(sums_of_counts(samples, intensity), None, sum_of_clipped(saturated), *layout)
         checked = self.check_all(traces)
         return make_traces(checked.intensity, checked.valid, checked.saturated, *layout)
 
@@ -107,14 +114,17 @@ class TraceChecker:
             self._n_filled += int(filled[-1]) + 1 if filled.size else 0
         return self._n_filled
 
-    def _rises(self, kind: np.dtype[Any]) -> bool:
-        """Check whether samples of a type are few enough to look up, and higher ones never stand for less."""
+    def _table(self, kind: np.dtype[Any]) -> _CountTable | None:
+        """Give what samples of a type stand for, if they are few enough to look up and higher ones stand for no
+        less."""
         if kind.kind != "u" or kind.itemsize > 2:
-            return False
+            return None
         if kind not in self._tables:
-            self._tables[kind] = to_intensity(np.arange(256**kind.itemsize).astype(kind), self._transfer)[0]
-            self._rising[kind] = bool((np.diff(self._tables[kind]) >= 0.0).all())
-        return self._rising[kind]
+            intensity = to_intensity(np.arange(256**kind.itemsize).astype(kind), self._transfer)[0]
+            rises = bool((np.diff(intensity) >= 0.0).all())
+            is_wide = bool(_may_be_absurd(intensity[np.newaxis], intensity[-1:]).any())
+            self._tables[kind] = _CountTable(intensity, is_wide) if rises else None
+        return self._tables[kind]
 
     def check_all(self, traces: Sequence[EchoTrace]) -> CheckedTrace:
         """Check several traces of one layout, which follow each other; arrays (n_traces, n_samples)."""
@@ -179,6 +189,8 @@ class TraceChecker:
         self._counters["quality.sample_saturated"] += n_saturated
         near = max(0, round((_NEAR_M - first.first_range_m) / first.spacing_m))
         far = saturated[:, near:]
+        if not far.any():
+            return
         n_mostly = int(np.count_nonzero(np.count_nonzero(far, axis=1) > _MANY_SATURATED * far.shape[1]))
         if n_mostly:
             self._counters[f"quality.{self._side}_ping_mostly_saturated"] += n_mostly
