@@ -14,19 +14,17 @@ from auv_mcm.kernels.waterfall_rows import Turning, ping_masks, scale_rows
 from auv_mcm.records import SIDES, Notice, Ping, Side, Tile, Transfer
 from auv_mcm.settings.config import Config
 from auv_mcm.waterfall.bottom import BottomTrack, BottomTracker
-from auv_mcm.waterfall.floor_watch import NEAR_M, REACH_M, REACH_SHARE, FloorWatch
+from auv_mcm.waterfall.floor_watch import FloorWatch
 from auv_mcm.waterfall.grid import LEVEL_COLUMNS, AlongTrackGrid, SideImage, Swath
 from auv_mcm.waterfall.ground import Traces, mean_between
 from auv_mcm.waterfall.interference import InterferenceFilter
-from auv_mcm.waterfall.pixel_geometry import PixelGeometry, pixel_geometry, runs
+from auv_mcm.waterfall.pixel_geometry import LEVEL_BIN_M, PixelGeometry, pixel_geometry, runs
 from auv_mcm.waterfall.quality import TraceChecker
 from auv_mcm.waterfall.radiometry import REFERENCE_PINGS, AngleCurve, GainStepFilter, ping_levels
 from auv_mcm.waterfall.tiles import TileCutter
 
 _MIN_SPEED_MPS: Final = 0.2  # m/s: keeps the turn per metre finite when the vehicle stands
 _WATER_FRACTION: Final = 0.9  # of the first return, up to which samples are water for certain
-_LEVEL_BIN_M: Final = 0.05  # m of slant range: echoes are averaged so far for levels of water and floor
-_N_NEAR_BINS: Final = 40  # of that size, spread over the first metres of sea floor
 _TURN_SIGN: Final[dict[Side, float]] = {"port": 1.0, "starboard": -1.0}
 
 
@@ -171,7 +169,7 @@ class Waterfall:
         learnable = positive & ~ground.saturated
         seabed_level = ping_levels(log_intensity, learnable)
         water_level = self._water_level(traces, first_return_m)
-        rise = _near_level(traces, first_return_m) - water_level
+        rise = _near_level(traces, geometry) - water_level
         self._notices += self._floors[side].add(rise, block.poses.time_s)
         gain, n_steps = self._gains[side].corrections(seabed_level, water_level)
         self._counters[f"radiometry.{side}_gain_step"] += n_steps
@@ -210,19 +208,16 @@ class Waterfall:
 
         NaN where it is too short.
         """
-        n_bins = int(np.max(first_return_m) * _WATER_FRACTION / _LEVEL_BIN_M)
-        edges = self._config.sonar.blank_m + np.arange(max(n_bins, 1) + 1, dtype=np.float64) * _LEVEL_BIN_M
+        n_bins = int(np.max(first_return_m) * _WATER_FRACTION / LEVEL_BIN_M)
+        edges = self._config.sonar.blank_m + np.arange(max(n_bins, 1) + 1, dtype=np.float64) * LEVEL_BIN_M
         means = mean_between(traces, edges[None, :])
         usable = means.valid & (means.intensity > 0.0) & (edges[None, 1:] < _WATER_FRACTION * first_return_m[:, None])
         return ping_levels(_logarithms(means.intensity), usable)
 
 
-def _near_level(traces: Traces, first_return_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def _near_level(traces: Traces, geometry: PixelGeometry) -> NDArray[np.float64]:
     """Take the median ln I of the first metres of sea floor per ping, (n_pings,); NaN where too little is there."""
-    reach_m = np.maximum(REACH_M, REACH_SHARE * first_return_m)
-    starts_m = (first_return_m + NEAR_M)[:, np.newaxis] + reach_m[:, np.newaxis] * np.linspace(0.0, 1.0, _N_NEAR_BINS)
-    edges_m = np.stack([starts_m, starts_m + _LEVEL_BIN_M], axis=-1).reshape(len(starts_m), -1)
-    means = mean_between(traces, edges_m)  # with what lies between the bins
+    means = mean_between(traces, geometry.near_m, geometry.return_m.row)  # with what lies between the bins
     usable = means.valid & (means.intensity > 0.0)
     usable[:, 1::2] = False
     return ping_levels(_logarithms(means.intensity), usable)
