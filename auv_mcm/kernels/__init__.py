@@ -12,7 +12,7 @@ import os
 from pathlib import Path
 from typing import Final, Literal, NamedTuple
 
-VERSION: Final = 20  # of the C signatures; a library that reports another one is not called
+VERSION: Final = 21  # of the C signatures; a library that reports another one is not called
 
 
 class Loaded(NamedTuple):

@@ -252,28 +252,6 @@ WIDE void auv_mcm_contrast_variances(int64_t n_rows, int64_t n_columns, int64_t 
     }
 }
 
-/* lowest, highest (blocks of rows, blocks of columns): out. */
-WIDE void auv_mcm_contrast_extremes(int64_t n_rows, int64_t n_columns, const float *restrict plane, int64_t block_rows,
-                                    int64_t block_columns, float *restrict lowest, float *restrict highest)
-{
-    const int64_t n_blocks = (n_columns + block_columns - 1) / block_columns;
-    for (int64_t row = 0; row < n_rows; row++)
-        for (int64_t block = 0; block < n_blocks; block++) {
-            const float *restrict from = plane + row * n_columns + block * block_columns;
-            const int64_t left = n_columns - block * block_columns, n = left < block_columns ? left : block_columns;
-            float *const low = lowest + row / block_rows * n_blocks + block, *const high = highest +
-                                                                                           row / block_rows * n_blocks +
-                                                                                           block;
-            float least = row % block_rows ? *low : from[0], most = row % block_rows ? *high : from[0];
-            for (int64_t i = 0; i < n; i++) {
-                least = from[i] < least ? from[i] : least;
-                most = from[i] > most ? from[i] : most;
-            }
-            *low = least;
-            *high = most;
-        }
-}
-
 /* Appends the places whose flag is set and clears the flags. flags: a multiple of CHUNK long, zeros beyond n. */
 static int64_t collect(int64_t n, uint8_t *restrict flags, int32_t place, int32_t *restrict places)
 {
@@ -354,18 +332,16 @@ static inline int64_t shadow_columns(int64_t column, double height_m, double cle
     return whole > 1.0 ? (int64_t)whole : 1;
 }
 
-/* One height's shadow in a row, whose band of sums begins at `sums`: flags where it is at most its block's limit times
- * background and valid pixels, which are more than least_share of it. Lengths never fall with the column, so that a row
- * is a few runs of equal length.
+/* Lengths of shadows never fall with the column, so that a row is a few runs of equal length. runs: out, the shortest
+ * length, and where the runs of this and of each longer one end.
  */
-static inline void flag_dark(int64_t n_columns, const double *restrict sums, const int32_t *restrict counts,
-                             const float *restrict level, int64_t half_rows, float least_share, double height_m,
-                             double clear_m, double column_m, double least_m, double most_m,
-                             const double *restrict limit, int64_t block_columns, uint8_t *restrict flags)
+static void shadow_runs(int64_t n_columns, double height_m, double clear_m, double column_m, double least_m,
+                        double most_m, int32_t *restrict runs)
 {
     const double columns_per_length = clear_m / height_m;
     const int64_t longest = shadow_columns(n_columns - 1, height_m, clear_m, column_m, least_m, most_m);
     int64_t length = shadow_columns(0, height_m, clear_m, column_m, least_m, most_m);
+    *runs++ = (int32_t)length;
     for (int64_t begin = 0; begin < n_columns; length++) {
         int64_t end = n_columns;
         if (length < longest) {
@@ -377,6 +353,22 @@ static inline void flag_dark(int64_t n_columns, const double *restrict sums, con
             while (end < n_columns && shadow_columns(end, height_m, clear_m, column_m, least_m, most_m) <= length)
                 end++;
         }
+        *runs++ = (int32_t)end;
+        begin = end;
+    }
+}
+
+/* One height's shadow in a row, whose band of sums begins at `sums`: flags where it is at most its block's limit times
+ * background and valid pixels, which are more than least_share of it. runs: of shadow_runs.
+ */
+static inline void flag_dark(int64_t n_columns, const double *restrict sums, const int32_t *restrict counts,
+                             const float *restrict level, int64_t half_rows, float least_share,
+                             const int32_t *restrict runs, const double *restrict limit, int64_t block_columns,
+                             uint8_t *restrict flags)
+{
+    int64_t length = *runs++;
+    for (int64_t begin = 0; begin < n_columns; length++) {
+        const int64_t end = *runs++;
         const int32_t n_rows = (int32_t)(2 * half_rows + 1), full = n_rows * (int32_t)length;
         const int32_t least_count = (int32_t)(least_share * (float)full);
         const double *restrict far = sums + length;
@@ -403,8 +395,9 @@ static inline void flag_dark(int64_t n_columns, const double *restrict sums, con
 
 /* For each height the pixels of rows [first, last) from which on its shadow's sum is low enough, see flag_dark.
  *
- * half_rows, height_m (n_heights), clearance_m (n_heights, n_rows): what the height's grazing ray has below it. The
- * rest as in auv_mcm_contrast_bright.
+ * half_rows, height_m (n_heights), clearance_m (n_heights, n_rows): what the height's grazing ray has below it, the
+ * same in rows that follow each other as a rule. runs (n_heights, pad + 1): overwritten; no shadow is longer than pad.
+ * The rest as in auv_mcm_contrast_bright.
  */
 WIDE void auv_mcm_contrast_dark(int64_t n_rows, int64_t n_columns, int64_t first, int64_t last,
                                 const double *restrict sums, const int32_t *restrict counts,
@@ -412,8 +405,8 @@ WIDE void auv_mcm_contrast_dark(int64_t n_rows, int64_t n_columns, int64_t first
                                 const double *restrict height_m, const double *restrict clearance_m, float least_share,
                                 double column_m, double least_m, double most_m, const double *restrict limits,
                                 int64_t block_rows, int64_t block_columns, int64_t pad, int64_t room,
-                                double *restrict band, int32_t *restrict count_band, uint8_t *restrict flags,
-                                int32_t *restrict places, int64_t *restrict n_places)
+                                double *restrict band, int32_t *restrict count_band, int32_t *restrict runs,
+                                uint8_t *restrict flags, int32_t *restrict places, int64_t *restrict n_places)
 {
     const int64_t n_blocks = (n_columns + block_columns - 1) / block_columns;
     const int64_t blocks_each = (n_rows + block_rows - 1) / block_rows * n_blocks;
@@ -425,9 +418,12 @@ WIDE void auv_mcm_contrast_dark(int64_t n_rows, int64_t n_columns, int64_t first
                 band_of_sums(n_rows, n_columns, sums, row - half, row + half + 1, pad, band);
                 band_of_counts(n_rows, n_columns, counts, row - half, row + half + 1, pad, count_band);
             }
+            const double *clear_m = clearance_m + k * n_rows + row;
+            int32_t *own_runs = runs + k * (pad + 1);
+            if (row == first || clear_m[0] != clear_m[-1])
+                shadow_runs(n_columns, height_m[k], *clear_m, column_m, least_m, most_m, own_runs);
             flag_dark(n_columns, band + pad, count_band + pad, background + row * n_columns, half, least_share,
-                      height_m[k], clearance_m[k * n_rows + row], column_m, least_m, most_m,
-                      limits + k * blocks_each + row / block_rows * n_blocks, block_columns, flags);
+                      own_runs, limits + k * blocks_each + row / block_rows * n_blocks, block_columns, flags);
             n_places[k] += collect(n_columns, flags, (int32_t)(row * n_columns), places + k * room + n_places[k]);
         }
 }

@@ -188,7 +188,8 @@ def _beyond(planes: Plane, rows: tuple[int, int]) -> Plane:
 def extremes(plane: Plane, blocks: Blocks) -> tuple[Plane, Plane]:
     """Find the lowest and highest value in each block of a plane without NaN, (blocks down, blocks across) each."""
     lowest, highest = (np.empty(blocks.shape((plane.shape[0], plane.shape[1])), dtype=np.float32) for _ in range(2))
-    if not call("contrast_extremes", *plane.shape, plane, *blocks, lowest, highest):
+    low, high = np.empty((2, plane.shape[1]), dtype=np.float32)
+    if not call("contrast_extremes", *plane.shape, plane, *blocks, low, high, lowest, highest):
         return extremes_numpy(plane, blocks)
     return lowest, highest
 
@@ -252,9 +253,10 @@ def dark_places(
     across).
     """
     pad, bands = _bands(sums.shape[1], 1, np.array((round(shadows.length_m[1] / shadows.column_m) + 1,)))
+    runs = np.empty((len(shadows.height_m), pad + 1), dtype=np.int32)
     flags, places, n_places = _room(sums.shape, rows, len(shadows.height_m))
     heights = len(shadows.height_m), *shadows[:3], shadows.least_share, shadows.column_m, *shadows.length_m
-    room = pad, places.shape[1], *bands, flags, places, n_places
+    room = pad, places.shape[1], *bands, runs, flags, places, n_places
     if not call("contrast_dark", *sums.shape, *rows, *sums, level, *heights, limits, *blocks, *room):
         return dark_places_numpy(sums, level, rows, shadows, limits, blocks)
     return _found(places, n_places)

@@ -11,7 +11,7 @@
 #include "wide.h"
 
 /* Raised whenever a signature changes, so that a stale library is refused instead of called wrongly. */
-#define AUV_MCM_KERNELS_VERSION 20
+#define AUV_MCM_KERNELS_VERSION 21
 
 int32_t auv_mcm_kernels_version(void) { return AUV_MCM_KERNELS_VERSION; }
 

@@ -320,21 +320,28 @@ WIDE void auv_mcm_waterfall_scale(int64_t n_pings, int64_t n_columns, const doub
     }
 }
 
-/* angle (n). known, level (n_known): rising bins, whose values stand at their middles; place (n_bins + 1): of the last
- * known bin whose middle is not beyond that of each bin before, -1 for none. slope (n_known - 1). curve (n): out.
+/* angle (n). bins (n_known): rising, whose level (n_known) stands at their middles; slope (n_known - 1): in between.
+ * place (last bin + 2): overwritten, the last known bin whose middle is not beyond that of each bin before, -1 for
+ * none. curve (n): out.
  */
-void auv_mcm_waterfall_curve(int64_t n, const double *restrict angle, const double *restrict middle,
-                             const double *restrict level, int64_t n_known, const double *restrict slope,
-                             const int32_t *restrict place, double *restrict curve)
+void auv_mcm_waterfall_curve(int64_t n, const double *restrict angle, int64_t n_known, const int64_t *restrict bins,
+                             const double *restrict level, const double *restrict slope, int32_t *restrict place,
+                             double *restrict curve)
 {
+    const int64_t top = bins[n_known - 1] + 1;
+    int32_t known = -1;
+    for (int64_t bin = 0; bin <= top; bin++) {
+        place[bin] = known;
+        known += known + 1 < n_known && bins[known + 1] == bin;
+    }
     for (int64_t i = 0; i < n; i++) {
         const int64_t bin = (int64_t)angle[i];
-        const int32_t k = place[bin + (angle[i] - (double)bin >= 0.5)];
+        const int32_t k = place[at_most(bin + (angle[i] - (double)bin >= 0.5), top)];
         if (k < 0)
             curve[i] = level[0];
         else if (k >= n_known - 1)
             curve[i] = level[n_known - 1];
         else
-            curve[i] = slope[k] * (angle[i] - middle[k]) + level[k];
+            curve[i] = slope[k] * (angle[i] - ((double)bins[k] + 0.5)) + level[k];
     }
 }

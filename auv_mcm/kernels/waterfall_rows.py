@@ -233,10 +233,8 @@ def along_curve(angle: Values, bins: NDArray[np.intp], level: Values) -> Values:
     """
     middle = bins + 0.5
     slope = (level[1:] - level[:-1]) / (middle[1:] - middle[:-1])
-    last = int(max(angle.max(initial=0.0), 0.0)) + 2
-    place = (np.searchsorted(bins, np.arange(-1, last), side="right") - 1).astype(np.int32)
-    curve = np.empty(angle.shape)
-    if not call("waterfall_curve", angle.size, angle, middle, level, len(bins), slope, place, curve):
+    place, curve = np.empty(int(bins[-1]) + 2, dtype=np.int32), np.empty(angle.shape)
+    if not call("waterfall_curve", angle.size, angle, len(bins), bins, level, slope, place, curve):
         return along_curve_numpy(angle, bins, level)
     return curve
 
