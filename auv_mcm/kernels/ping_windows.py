@@ -8,6 +8,7 @@ C and numpy agree to the bit.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
@@ -42,9 +43,15 @@ class WindowTable(NamedTuple):
     at_zero: Values
 
 
+@functools.lru_cache(maxsize=8)
 def cell_edges(n_part: int, n_cells: int) -> NDArray[np.int64]:
-    """Divide a part of n_part samples, at least n_cells, into cells: (n_cells + 1,) first samples, and n_part."""
-    return np.linspace(0, n_part, n_cells + 1).astype(np.int64)
+    """Divide a part of n_part samples, at least n_cells, into cells: (n_cells + 1,) first samples, and n_part.
+
+    Read-only.
+    """
+    edges = np.linspace(0, n_part, n_cells + 1).astype(np.int64)
+    edges.flags.writeable = False
+    return edges
 
 
 def ping_windows(samples: Values, n_part: int, n_cells: int, lags: Sequence[int], largest: float) -> WindowTable:
