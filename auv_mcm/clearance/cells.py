@@ -124,20 +124,20 @@ def _blocks(tile: Tile, covered: NDArray[np.bool_], sonar: SonarConfig, frame: L
     """Place the covered pixels in blocks, on the line between both ends of their rows; None if nothing was covered."""
     n_rows, n_columns = (max(1, round(_BLOCK_M / side_m)) for side_m in (tile.row_spacing_m, tile.column_spacing_m))
     area_m2 = _sums(covered, n_rows, n_columns) * (tile.row_spacing_m * tile.column_spacing_m)
-    at_row, at_column = np.nonzero(area_m2)
-    if not len(at_row):
+    used = np.flatnonzero(area_m2.any(axis=1))
+    if not len(used):
         return None
-    used = np.unique(at_row)
+    area_m2 = area_m2[used]
+    of_block, at_column = np.nonzero(area_m2)
     row = tile.core_start + np.minimum((used + 0.5) * n_rows, covered.shape[0]) - 0.5
     width_m = covered.shape[1] * tile.column_spacing_m
     near_m, far_m = (_placed(tile, row, ground_m, sonar, frame) for ground_m in (0.0, width_m))
-    of_block = np.searchsorted(used, at_row)
     ground_m: Array = np.asarray((at_column + 0.5) * n_columns * tile.column_spacing_m, dtype=np.float64)
     share = (ground_m / width_m)[:, np.newaxis]
     place_m = near_m[of_block] * (1.0 - share) + far_m[of_block] * share
-    every = _Blocks(area_m2[at_row, at_column], row[of_block], ground_m, place_m, (far_m - near_m)[of_block])
-    finite = np.isfinite(place_m).all(axis=1)
-    return every if finite.all() else _Blocks(*(values[finite] for values in every))
+    every = _Blocks(area_m2[of_block, at_column], row[of_block], ground_m, place_m, (far_m - near_m)[of_block])
+    finite = np.isfinite(place_m)
+    return every if finite.all() else _Blocks(*(values[finite.all(axis=1)] for values in every))
 
 
 def _sums(covered: NDArray[np.bool_], n_rows: int, n_columns: int) -> Array:

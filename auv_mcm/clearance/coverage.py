@@ -131,7 +131,8 @@ def placed_rows(tile: Tile) -> NDArray[np.bool_]:
 def _outlines(tile: Tile, covered: NDArray[np.bool_], sonar: SonarConfig) -> tuple[NDArray[np.float64], ...]:
     strip_rows = max(1, round(_STRIP_M / tile.row_spacing_m))
     rings: list[NDArray[np.float64]] = []
-    for first, stop in _runs(covered.mean(axis=1) >= _MIN_ROW_COVER, round(_MAX_GAP_M / tile.row_spacing_m)):
+    share = covered.view(np.uint8).sum(axis=1, dtype=np.uint32) / covered.shape[1]
+    for first, stop in _runs(share >= _MIN_ROW_COVER, round(_MAX_GAP_M / tile.row_spacing_m)):
         run = []
         for start in range(first, stop, strip_rows):
             strip = covered[start : min(start + strip_rows, stop)]

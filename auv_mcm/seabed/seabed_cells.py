@@ -58,9 +58,10 @@ def smoothed(log_p: Array, measured: NDArray[np.bool_]) -> Array:
     """
     own = log_p
     posterior = _softmax(own)
+    n_along, n_across = measured.shape
+    weighted = np.zeros((n_along + 2, n_across + 2, own.shape[-1]))
     for _ in range(_SWEEPS):
-        weighted = np.pad(posterior * measured[..., np.newaxis], ((1, 1), (1, 1), (0, 0)))
-        n_along, n_across = measured.shape
+        np.multiply(posterior, measured[..., np.newaxis], out=weighted[1:-1, 1:-1])
         around = sum(
             weighted[i : i + n_along, j : j + n_across] for i in range(3) for j in range(3) if (i, j) != (1, 1)
         )

@@ -11,6 +11,7 @@ windows of three sizes around it: small ones locate borders, large ones identify
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import Final, NamedTuple
 
@@ -341,12 +342,14 @@ def _spectrum(level: Floats, valid: Floats, block_m: tuple[float, float]) -> tup
     )
 
 
+@functools.lru_cache(maxsize=8)
 def _wavenumbers(
     block_m: tuple[float, float],
 ) -> tuple[Array, Array, NDArray[np.intp], NDArray[np.bool_], NDArray[np.bool_]]:
     """Compute the wavenumbers of the half plane of the spectrum, flattened.
 
-    Cycles per metre along and across, the ring each belongs to, which may be ripples, which are long.
+    Cycles per metre along and across, the ring each belongs to, which may be ripples, which are long. Kept: not to be
+    changed.
     """
     along = np.repeat(np.fft.fftfreq(WINDOW_BLOCKS, block_m[0]), WINDOW_BLOCKS // 2 + 1)
     across = np.tile(np.fft.rfftfreq(WINDOW_BLOCKS, block_m[1]), WINDOW_BLOCKS)
