@@ -69,10 +69,10 @@ def _run(arguments: argparse.Namespace) -> int:
         "objects": len(objects),
         "index": index,
     }
+    logs_done = f"{len(outcomes)} log{'s' * (len(outcomes) > 1)}"
     words = [
         *(f"failed: {clean(outcome.log.name)}: {clean(outcome.failure)}" for outcome in failed),
-        f"{len(outcomes)} log{'s' * (len(outcomes) > 1)}, {len(failed)} failed; "
-        f"{len(objects)} object{'s' * (len(objects) != 1)}",
+        f"{logs_done}, {len(failed)} failed; {len(objects)} object{'s' * (len(objects) != 1)}",
         f"index: {index}",
     ]
     answer(done, words, as_json=arguments.json)
