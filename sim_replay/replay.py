@@ -208,7 +208,7 @@ class _Replaying:
         return_freed_memory()  # of tiles: the report takes its place
         contacts = sorted(self._pipeline.contacts, key=lambda contact: contact.id)
         counters = self._mission.counters() + self._pipeline.counters
-        waypoints = plan_waypoints(contacts, self._tally, self._config.plan, counters)
+        waypoints = plan_waypoints(contacts, self._tally, self._config, counters)
         clearance = self._searched.snapshot()
         png = b"" if clearance is None else clearance_png(clearance)
         point = self._pipeline.operating_point

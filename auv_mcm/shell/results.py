@@ -23,6 +23,7 @@ from auv_mcm.contacts.export import (
 )
 from auv_mcm.contacts.operating_point import OperatingPoint
 from auv_mcm.records import Contact, CoveragePatch, Waypoint
+from auv_mcm.settings.config import Config
 from auv_mcm.settings.plan_settings import PlanConfig
 from auv_mcm.shell.mission_totals import area_totals, contact_totals, point_totals, search_totals
 from auv_mcm.shell.tally import Tally
@@ -32,16 +33,27 @@ T = TypeVar("T")
 
 
 def plan_waypoints(
-    contacts: Iterable[Contact], tally: Tally, config: PlanConfig, counters: Counter[str]
+    contacts: Iterable[Contact], tally: Tally, config: Config, counters: Counter[str]
 ) -> tuple[Waypoint, ...]:
-    """Make the re-inspection plan from the last known pose; empty and counted if there is no pose."""
-    from auv_mcm.plan.reinspect import plan_reinspection
+    """Make the re-inspection plan from the last known pose, inside the vehicle's fence where there is one.
 
+    Empty if there is no pose. That, and contacts that the fence keeps from being viewed, are counted.
+    """
+    from auv_mcm.plan.look_again import PlanRequest
+    from auv_mcm.plan.propose import propose
+    from auv_mcm.plan.reinspect import needs_second_look, plan_reinspection
+
+    plan, vehicle = config.plan, config.vehicle
     pose = (tally.latitude_deg, tally.longitude_deg, tally.direction_rad)
     if not all(map(math.isfinite, pose)):
         counters["plan.start_pose_unknown"] += 1
         return ()
-    return plan_reinspection(contacts, *pose, config)
+    if not vehicle.fence_deg:
+        return plan_reinspection(contacts, *pose, plan)
+    asking = (contact for contact in contacts if needs_second_look(contact, plan.min_p_mine))
+    proposal = propose(asking, PlanRequest(*pose, frozenset()), plan, vehicle)
+    counters["plan.outside_fence"] += len(proposal.refused)
+    return proposal.waypoints
 
 
 class MissionResults(NamedTuple):

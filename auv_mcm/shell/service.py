@@ -470,9 +470,9 @@ class Service:
         finished = self._finished or Finished(Counter(), {}, None, None, b"")
         if (point := finished.operating_point) is not None:  # of the whole mission; those announced carry that of then
             contacts = MarkedContacts(contacts, point)
-        link, plan = self._vehicle_link, self._config.plan
+        link, config = self._vehicle_link, self._config
         proposed = None if link is None else link.plan
-        waypoints = plan_waypoints(contacts, self._tally, plan, self._counters) if proposed is None else proposed
+        waypoints = plan_waypoints(contacts, self._tally, config, self._counters) if proposed is None else proposed
         of_area = finished.clearance, finished.clearance_png
         results = MissionResults(contacts, self._coverage.in_order(), waypoints, self._tally, point, *of_area)
         writers = results.writers(self._folder, self._config.mission, durable=False)
@@ -484,7 +484,7 @@ class Service:
         summary: dict[str, Any] = {
             **made_with(),
             "source": self._config.service.source,
-            **results.totals(plan, "" if link is None else link.verdict),
+            **results.totals(config.plan, "" if link is None else link.verdict),
             **({} if link is None else {"vehicle": link.health()}),
             "elapsed_s": round(self._so_far().elapsed_s, 3),
             "counters": dict(sorted((self._own_counters() + finished.counters + of_disk).items())),

@@ -74,6 +74,7 @@ MEANINGS: Final = {
     "ping.received": "pings that came in",
     "ping.trace_unusable": "traces refused by the quality checks",
     "ping.without_samples": "pings without a single sample",
+    "plan.outside_fence": "contacts without a second view proposed, since the way leads out of the vehicle's fence",
     "plan.start_pose_unknown": "re-inspection plans not made because the vehicle's last pose is not known",
     "quality.dead": "traces without any signal",
     "quality.floor_not_heard": "pings of a side that show no sea floor: nothing there counts as covered",

@@ -132,7 +132,7 @@ def chain_answer(log: Path, config: Config, folder: Path) -> Answer:
     gather(list(pipeline.finish()))
     contacts = sorted(pipeline.contacts, key=lambda contact: contact.id)
     counters = mission.counters() + pipeline.counters
-    waypoints = plan_waypoints(contacts, tally, config.plan, counters)
+    waypoints = plan_waypoints(contacts, tally, config, counters)
     write_results(folder, contacts, coverage, waypoints, config.mission)
     clearance = searched.snapshot()
     write_clearance(folder, clearance, b"")
