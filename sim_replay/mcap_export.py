@@ -129,13 +129,14 @@ def _annotations(tile: Tile, time_s: float, views: Sequence[_View], pixel_m: flo
     from foxglove_schemas_protobuf.Point2_pb2 import Point2
     from foxglove_schemas_protobuf.TextAnnotation_pb2 import TextAnnotation
 
-    times_s = tile.pose.time_s[tile.core_start : tile.core_stop]
+    times_s = tile.pose.time_s[tile.core_start : tile.core_stop + 1]  # places lie between rows, up to the next tile's
+    ends_s = _ROUNDED_S if tile.core_stop >= len(tile.pose) else -_ROUNDED_S
     found = ImageAnnotations(timestamp=_stamp(time_s))
     rising = bool(np.isfinite(times_s).all() and (np.diff(times_s) >= 0.0).all())
     for view in views:
         if view.side != tile.side or not rising:
             continue
-        if not times_s[0] - _ROUNDED_S <= view.time_s <= times_s[-1] + _ROUNDED_S:
+        if not times_s[0] - _ROUNDED_S <= view.time_s < times_s[-1] + ends_s:
             continue
         row_m = (float(np.interp(view.time_s, times_s, np.arange(len(times_s)))) + 0.5) * tile.row_spacing_m
         right, down = view.ground_range_m / pixel_m, size[1] - row_m / pixel_m

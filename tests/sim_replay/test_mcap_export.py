@@ -87,6 +87,14 @@ def test_a_contact_is_ringed_where_it_lies_in_the_picture(tmp_path: Path) -> Non
     assert messages["/sonar/starboard/contacts"].texts[0].text == "C00001 0.90"
 
 
+@pytest.mark.parametrize(("row", "n_rings"), [(35.5, [1, 0]), (36.0, [0, 1])])
+def test_a_contact_between_two_tiles_is_ringed_in_one_of_them(tmp_path: Path, row: float, n_rings: list[int]) -> None:
+    later = msgspec.structs.replace(timed(0), core_start=36, core_stop=40)
+    write_mcap(tmp_path / "m.mcap", [timed(0), later], {"contacts": [contact(row, 6.0)]})
+    found = [message for topic, _, message, _ in decoded(tmp_path / "m.mcap") if topic.endswith("starboard/contacts")]
+    assert [len(message.circles) for message in found] == n_rings
+
+
 def test_a_contact_in_the_first_row_of_a_tile_is_ringed_though_its_time_is_rounded(tmp_path: Path) -> None:
     write_mcap(tmp_path / "m.mcap", [timed(0)], {"contacts": [contact(4.0 - 8e-4 / ROW_M, 6.0)]})
     messages = {topic: message for topic, _, message, _ in decoded(tmp_path / "m.mcap")}
