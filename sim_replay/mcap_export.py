@@ -161,7 +161,7 @@ def _views(contacts: Iterable[Feature]) -> list[_View]:
         for view in properties["views"]:
             if view["time"] is not None and view["ground_range_m"] is not None:
                 time_s = datetime.fromisoformat(view["time"]).timestamp()
-                text = " ".join(filter(None, (f"{properties['id']} {p_mine:.2f}", verdict_words(properties))))
+                text = " ".join(filter(None, (f"{properties['id']} {p_mine:.4f}", verdict_words(properties))))
                 views.append(_View(view["side"], time_s, view["ground_range_m"], text, is_likely(contact)))
     return views
 

@@ -85,7 +85,7 @@ def _contact(feature: Feature) -> str:
     depth = "" if properties.get("depth_m") is None else f", depth {properties['depth_m']:.1f} m"
     kind = properties["class"].replace("_", " ")
     judged = verdict_words(properties)
-    what = f"p_mine {properties['p_mine'] or 0.0:.2f}, {kind}{depth}" + (f"; {judged}" if judged else "")
+    what = f"p_mine {properties['p_mine'] or 0.0:.4f}, {kind}{depth}" + (f"; {judged}" if judged else "")
     called = "called contact" if properties.get("called") else "mine-like contact"
     return _waypoint(feature, what, called)
 

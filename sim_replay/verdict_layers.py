@@ -221,7 +221,7 @@ def _words(name: str, value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, float):
-        return f"{value:.2f}"
+        return f"{value:.4f}" if name == "p_mine" else f"{value:.2f}"
     return clean(str(value).replace("_", " ") if name in ("verdict", "class") else str(value))
 
 

@@ -9,14 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.classify.beliefs import MINE_LIKE_P
+from auv_mcm.contacts.geojson import PROBABILITY_DIGITS
 from auv_mcm.records import NAN, Contact, Detection
 
 ELLIPSE_SIGMAS: Final = 2.0  # drawn error ellipses: 86 % of the probability of two normal axes lies inside
 
 
 def is_mine_like(contact: Contact) -> bool:
-    """Decide whether `p_mine` reaches the threshold for mines."""
-    return contact.p_mine >= MINE_LIKE_P
+    """Decide whether `p_mine`, as files round it, reaches the threshold for mines."""
+    return round(contact.p_mine, PROBABILITY_DIGITS) >= MINE_LIKE_P
 
 
 def best_view(contact: Contact) -> Detection | None:

@@ -372,7 +372,7 @@ def _kml_table(contact: Contact) -> str:
         ("summary", said.sentence),
         ("speaks for a mine", said.reason_for),
         ("speaks against a mine", said.reason_against),
-        ("p_mine", f"{contact.p_mine:.2f}"),
+        ("p_mine", f"{contact.p_mine:.{PROBABILITY_DIGITS}f}" if math.isfinite(contact.p_mine) else "not known"),
         ("called a mine", call_words(contact)),
         ("class", said.label),
         ("belief in the class", f"{belief:.2f}" if math.isfinite(belief) else "?"),

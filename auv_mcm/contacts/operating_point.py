@@ -12,6 +12,7 @@ import numpy as np
 
 from auv_mcm.classify.beliefs import MINE_LIKE_P, most_believed
 from auv_mcm.contacts.background import LEVELS_NATS, LOWEST_NATS, BackgroundPrior, expected_background
+from auv_mcm.contacts.contact import is_mine_like
 from auv_mcm.contacts.expected_alarms import ExpectedAlarms, called_from_nats, expected_alarms, is_short
 from auv_mcm.contacts.seen_area import SeenArea
 from auv_mcm.detect.belief import odds_of
@@ -59,7 +60,7 @@ class OperatingPoint(NamedTuple):
         One that is called is of the likeliest kind of mine, whatever its p_mine: a mine is no clutter.
         """
         called = self.calls(contact)
-        is_mine = called or contact.p_mine >= MINE_LIKE_P
+        is_mine = called or is_mine_like(contact)
         density, interval = NAN, (NAN, NAN)
         if self.expected is not None:
             expected = self.expected.reaching(odds_of(contact.p_mine))

@@ -84,7 +84,7 @@ def test_a_contact_is_ringed_where_it_lies_in_the_picture(tmp_path: Path) -> Non
     down, right = np.argwhere(picture > 0.8 * picture.max()).mean(axis=0)
     (ring,) = messages["/sonar/starboard/contacts"].circles  # the other contact is elsewhere
     assert math.hypot(ring.position.x - right - 0.5, ring.position.y - down - 0.5) < 1.0
-    assert messages["/sonar/starboard/contacts"].texts[0].text == "C00001 0.90"
+    assert messages["/sonar/starboard/contacts"].texts[0].text == "C00001 0.9000"
 
 
 @pytest.mark.parametrize(("row", "n_rings"), [(35.5, [1, 0]), (36.0, [0, 1])])

@@ -126,6 +126,12 @@ def test_gdal_reads_the_gpx_and_the_kml(results: Path, tmp_path: Path) -> None:
     assert "snippets/C00001.png" in (results / "contacts.kml").read_text()
 
 
+def test_the_gpx_states_p_mine_as_the_other_files_do(tmp_path: Path) -> None:
+    said: dict[str, Json] = {"id": "C00001", "time": None, "p_mine": 0.9996, "class": "sphere", "called": True}
+    write_gpx(tmp_path / "m.gpx", {"contacts": [feature({"type": "Point", "coordinates": [1.0, 2.0]}, said)]}, "")
+    assert "<desc>p_mine 0.9996, sphere</desc>" in (tmp_path / "m.gpx").read_text()
+
+
 def test_a_track_cut_at_the_antimeridian_has_longitudes_that_gpx_allows(tmp_path: Path) -> None:
     pieces: Json = [[[179.9, 1.0], [180.0, 1.0]], [[-180.0, 1.0], [-179.9, 1.0]]]
     track = feature({"type": "MultiLineString", "coordinates": pieces}, {})

@@ -142,6 +142,12 @@ def test_a_kmz_carries_contacts_over_its_mosaic(results: Path, tmp_path: Path) -
     )
 
 
+def test_the_balloon_of_a_contact_states_p_mine_as_the_other_files_do() -> None:
+    seen = {"type": "Feature", "geometry": None, "properties": {"id": "C00001", "p_mine": 0.9996, "sigma_m": 1.25}}
+    text = "".join(kml_folders({"contacts": [seen]}))
+    assert all(f"&lt;td&gt;{said}&lt;/td&gt;" in text for said in ("0.9996", "1.25"))
+
+
 def test_annotations_of_a_picture_say_the_verdict(tmp_path: Path) -> None:
     def view(row: float) -> dict[str, object]:
         time = datetime.fromtimestamp(START_S + row * ROW_M / 2.0, UTC).isoformat()
@@ -155,4 +161,4 @@ def test_annotations_of_a_picture_say_the_verdict(tmp_path: Path) -> None:
     write_mcap(tmp_path / "m.mcap", [timed(0)], {"contacts": [seen], "missed_contacts": [missed, lost]})
     messages = {topic: message for topic, _, message, _ in decoded(tmp_path / "m.mcap")}
     texts = [one.text for one in messages["/sonar/starboard/contacts"].texts]
-    assert texts == ["C00001 0.10 judged mine like by kim: anchor", "V0002 missed, judged mine like by kim: anchor"]
+    assert texts == ["C00001 0.1000 judged mine like by kim: anchor", "V0002 missed, judged mine like by kim: anchor"]

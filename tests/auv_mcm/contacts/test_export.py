@@ -21,7 +21,9 @@ from auv_mcm.classify.beliefs import FRAME, bounded_by, singleton_belief
 from auv_mcm.contacts.antimeridian import split_line, split_ring
 from auv_mcm.contacts.contact import error_ellipse, error_ellipse_ring_m
 from auv_mcm.contacts.export import CSV_COLUMNS, contact_feature, contacts_geojson, iso_time, waypoints_geojson
+from auv_mcm.contacts.operating_point import OperatingPoint
 from auv_mcm.records import NAN, Contact, CoveragePatch, Detection, Waypoint
+from auv_mcm.shell.mission_totals import contact_totals
 from auv_mcm.snippet import pack_snippet
 from tests.auv_mcm.classify import drawn_looks
 from tests.auv_mcm.contacts.whole_exports import contacts_csv, contacts_kml, coverage_geojson
@@ -296,6 +298,25 @@ def test_kml_is_xml_with_two_folders_whatever_the_names() -> None:
     ring = folders[0].findtext(f".//{KML}LinearRing/{KML}coordinates")
     assert ring is not None
     assert len(ring.split()) == 37
+
+
+def test_a_contact_that_reaches_the_threshold_as_files_round_it_is_mine_like_everywhere() -> None:
+    nothing_called = OperatingPoint(1.0, 1, 1.0, None, 9.0)
+    marked = nothing_called.marked(
+        contact(p_mine=0.19996, mine_kind="cylinder", belief={"clutter": 0.6, "cylinder": 0.1, "unknown": 0.3})
+    )
+    said: Any = contact_feature(marked)["properties"]
+    assert (said["p_mine"], said["called"], said["class"]) == (0.2, False, "cylinder")
+    assert said["summary"].startswith("Possibly a mine, 20 %.")
+    assert contact_totals([marked], [])["contacts_mine_like"] == 1
+    assert "<name>Mine-like (1)</name>" in contacts_kml([marked])
+
+
+def test_the_kml_states_p_mine_as_the_other_files_do() -> None:
+    for p_mine in (0.9996, 0.1961):
+        one = contact(p_mine=p_mine)
+        assert f"<tr><td>p_mine</td><td>{p_mine}</td></tr>" in html.unescape(contacts_kml([one]))
+    assert "<tr><td>p_mine</td><td>not known</td></tr>" in html.unescape(contacts_kml([contact(p_mine=NAN)]))
 
 
 def test_the_parts_of_a_kml_placemark_stand_in_the_order_of_its_schema() -> None:
