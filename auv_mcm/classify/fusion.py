@@ -40,7 +40,7 @@ where they do not; on boulders fewer rocks are called (`tests/sim_replay/benches
 _MOST_NEWS: Final = 3.0  # views from other directions that agreement counts for, maximum: as many as it was fitted on
 _SPREAD_DEG: Final = 15.0  # views from directions closer than this mostly repeat each other
 _ONE_LOOK: Final = 3.0  # nats that another view may bring
-_LOOKS: Final = 2  # directions proposed
+_LOOKS: Final = 2  # directions proposed, maximum
 _LEAST: Final = 1e-3  # probability that views show the same kind, minimum; chosen, since it rests on two pictures
 
 
@@ -144,5 +144,8 @@ def _verdict(
     next_look_deg: tuple[float, ...] = ()
     aspects_rad = np.radians([view.aspect_deg for view in views])
     if abs(odds_of(p_mine) - odds_of(MINE_LIKE_P)) < _ONE_LOOK and np.isfinite(aspects_rad).all():
-        next_look_deg = tuple(np.degrees(next_look_aspects(aspects_rad)[:_LOOKS]).tolist())
+        looks_rad = next_look_aspects(aspects_rad)[:_LOOKS]
+        apart_deg = np.degrees(np.abs(np.arcsin(np.sin(looks_rad[:, np.newaxis] - aspects_rad)))).min(axis=1)
+        apart_deg[0] = 90.0  # into the widest gap, however narrow
+        next_look_deg = tuple(np.degrees(looks_rad[apart_deg.round(6) >= _SPREAD_DEG]).tolist())
     return FusedViews(p_mine, classification, mine_kind, belief, conflict, next_look_deg, reasons)

@@ -375,6 +375,13 @@ def test_one_view_is_looked_at_again_square_to_it() -> None:
     assert fuse([detection(p_mine=0.5, aspect_deg=190.0)], PRIOR).next_look_deg == pytest.approx((100.0,))
 
 
+def test_after_two_opposite_passes_no_direction_that_repeats_them_is_named() -> None:
+    opposite = [detection(p_mine=0.5, aspect_deg=aspect, time_s=aspect) for aspect in (125.8, 305.0)]
+    assert fuse(opposite, 0.0).next_look_deg == pytest.approx((35.4,))
+    apart = [detection(p_mine=0.5, aspect_deg=aspect, time_s=aspect) for aspect in (90.0, 304.0)]
+    assert fuse(apart, 0.0).next_look_deg == pytest.approx((17.0, 107.0))
+
+
 def test_what_is_decided_is_not_looked_at_again() -> None:
     for p_mine in (0.012, 0.84):
         assert fuse([detection(p_mine=p_mine)], PRIOR).next_look_deg == ()
