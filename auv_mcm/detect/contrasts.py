@@ -16,6 +16,7 @@ from collections.abc import Sequence
 from statistics import NormalDist
 from typing import Final, NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -116,16 +117,19 @@ class Contrasts(NamedTuple):
             for row, column in zip(rows, columns, strict=True)
         ]
         score = self.score
-        missing = [part for part in parts if score[part].max() == -np.inf]
-        places = _scored(self, _known_in(self.known, missing))
+        missing = np.zeros(score.shape, dtype=np.bool_)
+        for part in parts:
+            if score[part].max() == -np.inf:
+                missing[part] = self.known[part]
+        places = _scored(self, np.flatnonzero(missing))
         if places.size:
             score = score.copy()
             score.ravel()[places] = scores_at(self, places)
         found = []
         for part in parts:
             near = score[part]
-            down, right = np.unravel_index(int(near.argmax()), near.shape)
-            found.append(Peak(float(near[down, right]), part[0].start + int(down), part[1].start + int(right)))
+            down, right = divmod(int(near.argmax()), near.shape[1])
+            found.append(Peak(float(near[down, right]), part[0].start + down, part[1].start + right))
         return found
 
 
@@ -349,25 +353,23 @@ def _shadows_at(tile: Contrasts, places: Places) -> Values:
     """Compute the deviate of the darkest shadow behind each place, dark positive."""
     n_rows, n_columns = tile.sums.shape
     lag = tile.grid.columns(prescreen.SHADOW_LAG_M)
-    # A row and lag columns more on each side, where no shadow is weighed.
-    wanted, stride = np.zeros((n_rows + 2, n_columns + lag + 1), dtype=np.bool_), n_columns + lag + 1
     row, column = np.divmod(places, n_columns)
-    own = (row + 1) * stride + column
-    views = [own + down * stride + across for down in (-1, 0, 1) for across in range(1, lag + 1)]
-    for view in views:
-        wanted.ravel()[view] = True
-    wanted[: tile.rows[0] + 1] = wanted[tile.rows[1] + 1 :] = False
-    weighed = np.flatnonzero(wanted[1:-1, :n_columns]).astype(np.int32)
+    # A shadow may start in the row or one beside it, 1 to lag columns behind; `wanted` has as many to spare.
+    wanted = np.zeros((n_rows, n_columns + lag), dtype=np.uint8)
+    wanted[row, column + 1] = 1
+    cv2.dilate(wanted, np.ones((3, lag), dtype=np.uint8), dst=wanted, anchor=(lag - 1, 1))
+    wanted[: tile.rows[0]] = wanted[tile.rows[1] :] = 0
+    weighed = np.flatnonzero(wanted[:, :n_columns].view(np.bool_)).astype(np.int32)
     spots = _Spots.at(tile, weighed)
     values = np.full(len(weighed), np.inf, dtype=np.float32)
     for k, _ in enumerate(prescreen.SHADOWS_M):
         np.minimum(values, _shadow_deviates(tile, spots, k), out=values)
-    darkest = np.zeros(wanted.shape, dtype=np.float32)
-    darkest.ravel()[(weighed // n_columns + 1) * stride + weighed % n_columns] = values
-    lowest = np.full(len(places), np.inf, dtype=np.float32)
-    for view in views:
-        np.minimum(lowest, darkest.ravel()[view], out=lowest)
-    return -lowest
+    darkest = np.full(tile.sums.shape, -np.inf, dtype=np.float32)
+    raise_before(darkest, tile.rows, weighed, values, lag)
+    found = darkest[row, column]
+    # Where no shadow is weighed, there is none.
+    ends = (row <= tile.rows[0]) | (row + 1 >= tile.rows[1]) | (column + lag >= n_columns)
+    return np.where(ends, np.maximum(found, np.float32(0.0)), found)
 
 
 def _shadows(tile: Tile, grid: PixelGrid) -> Shadows:
@@ -379,15 +381,6 @@ def _shadows(tile: Tile, grid: PixelGrid) -> Shadows:
         length_m=prescreen.SHADOW_LENGTH_M,
         least_share=prescreen.MIN_SHADOW,
     )
-
-
-def _known_in(known: NDArray[np.bool_], parts: Sequence[tuple[slice, slice]]) -> NDArray[np.intp]:
-    """Select the known pixels of parts that may overlap. Places rise."""
-    found = [np.empty(0, dtype=np.intp)]
-    for rows, columns in parts:
-        down, across = known[rows, columns].nonzero()
-        found.append((rows.start + down) * known.shape[1] + columns.start + across)
-    return np.unique(np.concatenate(found))
 
 
 def _scored(tile: Contrasts, places: NDArray[np.integer]) -> Places:
