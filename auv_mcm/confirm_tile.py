@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
@@ -12,7 +13,7 @@ import msgspec
 
 from auv_mcm.classify.odds import MineOdds
 from auv_mcm.classify.verifier import NO_OPINION, Opinion
-from auv_mcm.confirmation import CLOSE_LOOK_P, ended_at_verifier, is_worth_confirming, without_confirmation
+from auv_mcm.confirmation import CLOSE_LOOK_P, detector_p_mine, ended_at_verifier, without_confirmation
 from auv_mcm.defects import Defect, caught
 from auv_mcm.records import Detection
 from auv_mcm.settings.config import ConfirmConfig
@@ -67,8 +68,8 @@ def confirm_tile(
         return ConfirmedTile(bare, [], Counter())
     # Without a bound nothing is asked of the odds, so that new ones can be fitted on features that they do not know.
     takes_all = config.min_p_mine <= 0.0 or "detector-odds" in without_skips
-    worthwhile = [takes_all or is_worth_confirming(detection, odds, config) for detection in detections]
-    wanted = [d for d, worth in zip(detections, worthwhile, strict=True) if worth]
+    asking = [(d, math.inf if takes_all else detector_p_mine(d, odds)) for d in detections]
+    wanted = [d for d, p_mine in asking if p_mine >= config.min_p_mine]
     best_first = sorted((d for d in wanted if d.surroundings is not None), key=lambda d: (-d.p_mine, d.row, d.column))
     unpaid = [d for d in wanted if d.surroundings is None]
     limited = "look-limit" not in without_skips
@@ -77,13 +78,13 @@ def confirm_tile(
     said = list(islice(opinions(chosen), len(chosen)))
     spared = _spared(chosen, said, odds, config) if limited and len(chosen) > config.max_examined_per_tile else {}
     asked = [(one, opinion) for k, (one, opinion) in enumerate(zip(chosen, said, strict=True)) if k not in spared]
-    asked += [(d, None) for d, worth in zip(detections, worthwhile, strict=True) if not worth]
     tried = [one for one, _ in asked]
     looks = list(
         mapped(lambda one, opinion: caught(partial(look, one, opinion)), tried, (opinion for _, opinion in asked))
     )
     defects = [(detection, done) for detection, done in zip(tried, looks, strict=True) if isinstance(done, Defect)]
     looked_at = [done for done in looks if not isinstance(done, Defect)]
+    looked_at += [without_confirmation(d, p, "not_looked_at") for d, p in asking if not p >= config.min_p_mine]
     counters: Counter[str] = Counter()
     counters["confirm.beyond_budget"] += len(unpaid)
     counters["confirm.over_budget"] += len(rest) + len(spared)
@@ -96,8 +97,8 @@ def confirm_tile(
         counters["confirm.rejected"] += found is not None and found.rejected
         counters["confirm.ended_at_contours"] += found is not None and "shape" not in detection.p_by_step
         counters["confirm.solids_not_refined"] += 0 if found is None else found.n_not_refined
-    looked_at += [without_confirmation(detection, odds, "look_failed") for detection, _ in defects]
-    looked_at += [without_confirmation(detection, odds, "over_budget") for detection in rest + unpaid]
+    for reason, left in (("look_failed", [detection for detection, _ in defects]), ("over_budget", rest + unpaid)):
+        looked_at += [without_confirmation(one, detector_p_mine(one, odds), reason) for one in left]
     return ConfirmedTile(looked_at + list(spared.values()), defects, counters)
 
 

@@ -148,9 +148,9 @@ def detector_p_mine(detection: Detection, odds: MineOdds) -> float:
     return odds.p_mine(_detector_ratio(detection, odds))
 
 
-def without_confirmation(detection: Detection, odds: MineOdds, reason: str) -> Detection:
+def without_confirmation(detection: Detection, p_mine: float, reason: str) -> Detection:
     """Return the detection with p_mine from the detector's measurements alone, and the reason why."""
-    return _ended(detection, {"detector": detector_p_mine(detection, odds)}, reason)
+    return _ended(detection, {"detector": p_mine}, reason)
 
 
 def opinions_on(

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import statistics
 from collections.abc import Sequence
 from typing import Final, Protocol
 
@@ -317,4 +318,4 @@ def _dimensions(views: tuple[Detection, ...], classification: ContactClass) -> D
 
 def _median_known(values: list[float]) -> float:
     known = [value for value in values if math.isfinite(value)]
-    return float(np.median(known)) if known else math.nan
+    return statistics.median(known) if known else math.nan

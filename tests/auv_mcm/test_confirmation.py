@@ -175,11 +175,12 @@ def found_last(detection: Detection) -> Any:
 
 
 def test_detections_passed_over_keep_the_detectors_odds_and_say_why(cylinder: Detection) -> None:
-    found = without_confirmation(cylinder, shipped_odds("contrast"), "over_budget")
+    p_mine = close_look(cylinder).p_by_step["detector"]
+    found = without_confirmation(cylinder, p_mine, "over_budget")
     assert found.reasons[-1] == "over_budget"
     assert found.confirmation is None
     assert found.surroundings is None
-    assert found.p_mine == close_look(cylinder).p_by_step["detector"]
+    assert found.p_mine == p_mine
 
 
 def test_the_network_is_asked_again_where_a_mine_is_not_improbable(cylinder: Detection) -> None:
