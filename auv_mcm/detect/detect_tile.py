@@ -239,7 +239,7 @@ def _surroundings(tile: Tile, peak: Peak, measured: Measurement) -> Surroundings
     )
     valid = (tile.mask[part] & VALID) != 0
     return Surroundings(
-        codes=pack_snippet(np.where(valid, np.maximum(tile.intensity[part], np.float32(_DARKEST)), np.float32(0.0))),
+        codes=pack_snippet(np.maximum(tile.intensity[part], np.float32(_DARKEST))) * valid,
         row=measured.row - top,
         column=measured.column - near,
         first_ground_range_m=near * column_m,

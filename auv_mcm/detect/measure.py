@@ -192,10 +192,11 @@ def _blur_pixels(length_m: float, pixel_m: float) -> int:
 def _region(tile: Tile, level: float, peak: Peak, rows: slice, columns: slice, blur: tuple[int, int]) -> _Roi:
     valid = (tile.mask[rows, columns] & VALID) != 0
     intensity: NDArray[np.float32] = tile.intensity[rows, columns] / np.float32(level)
-    intensity[~valid] = 0.0
     known = None if valid.all() else valid
+    if known is not None:
+        np.copyto(intensity, np.float32(0.0), where=~known)
     contrast = _log_mean(intensity, known, (3, 3))
-    darkness = _log_mean(np.clip(intensity, -np.inf, _DARK_CLIP), known, blur)
+    darkness = _log_mean(np.minimum(intensity, np.float32(_DARK_CLIP)), known, blur)
     return _Roi(contrast, darkness, intensity, valid, peak.row - rows.start, peak.column - columns.start)
 
 
@@ -233,7 +234,7 @@ def _bridged(mask: NDArray[np.bool_], gap: int) -> NDArray[np.bool_]:
     kernel = np.ones((1, gap + 1), dtype=np.uint8)
     # Opposite anchors: with one in the middle a kernel of even length would shift the mask.
     closed = cv2.erode(cv2.dilate(padded, kernel, anchor=(gap, 0)), kernel, anchor=(0, 0))
-    return np.asarray(closed[:, : mask.shape[1]].astype(np.bool_))
+    return np.ascontiguousarray(closed[:, : mask.shape[1]]).view(np.bool_)
 
 
 def _component_near(
@@ -281,9 +282,9 @@ def _weighted_extent(roi: _Roi, part: tuple[_Indices, ...], bright_step: float) 
     total = weight.sum()
     # The 3 x 3 mean just outside a wide object still holds a third of its echo: strong ones look a pixel larger on
     # every side.
-    rim = 2 if math.log((math.exp(float(contrast.max())) - 1.0) / 3.0 + 1.0) > bright_step else 0
-    first, stop = int(rows.min()), int(rows.max()) + 1
     excess = math.exp(float(contrast.max())) - 1.0
+    rim = 2 if math.log(excess / 3.0 + 1.0) > bright_step else 0
+    first, stop = int(rows[0]), int(rows[-1]) + 1  # as np.nonzero lists them
     extent = _Extent(first, stop, max(stop - first - rim, 1), 0.0, (math.exp(bright_step) - 1.0) / excess)
     return float(rows @ weight / total), float(columns @ weight / total), extent, max(int(np.ptp(columns)) + 1 - rim, 1)
 
@@ -305,27 +306,29 @@ def _shadow_extent(roi: _Roi, rows: _Indices, row: int, interval: tuple[int, int
     total = np.minimum(roi.intensity[:, columns], np.float32(_DARK_CLIP)).sum(axis=1, dtype=np.float64)
     count = roi.valid[:, columns].sum(axis=1)
     three = np.ones(3)
-    depth = 1.0 - (np.convolve(total, three) / np.maximum(np.convolve(count, three), 1.0))[1:-1]
-    depth[count == 0] = 0.0
+    depths = 1.0 - (np.convolve(total, three) / np.maximum(np.convolve(count, three), 1.0))[1:-1]
+    depths[count == 0] = 0.0
+    depth = depths.tolist()
     near = int(rows[np.argmin(np.abs(rows - row))])
-    around = slice(max(near - 1, 0), near + 2)
-    middle = around.start + int(np.argmax(depth[around]))
-    edge = _HALF_DEPTH * max(float(depth[middle]), 0.0)
-    shallow = np.flatnonzero(depth < edge)
-    first = int(shallow[shallow < middle].max(initial=-1)) + 1
-    stop = int(shallow[shallow > middle].min(initial=depth.shape[0]))
+    middle = max(range(max(near - 1, 0), min(near + 2, len(depth))), key=depth.__getitem__)
+    edge = _HALF_DEPTH * max(depth[middle], 0.0)
+    first, stop = middle, middle + 1
+    while first > 0 and depth[first - 1] >= edge:
+        first -= 1
+    while stop < len(depth) and depth[stop] >= edge:
+        stop += 1
     n_rows = stop - first - 1 + _beyond(depth, first, -1, edge) + _beyond(depth, stop - 1, 1, edge)
     return _Extent(first, stop, n_rows, _THREE_ROWS, _HALF_DEPTH)
 
 
-def _beyond(depth: NDArray[np.float64], row: int, step: int, edge: float) -> float:
+def _beyond(depth: list[float], row: int, step: int, edge: float) -> float:
     """Interpolate how far beyond the centre of `row` the depth falls below `edge`, in rows.
 
     Half a row at the end of the picture.
     """
-    if not 0 <= row + step < depth.shape[0] or depth[row] <= edge:
+    if not 0 <= row + step < len(depth) or depth[row] <= edge:
         return 0.5
-    return float((depth[row] - edge) / (depth[row] - depth[row + step]))
+    return (depth[row] - edge) / (depth[row] - depth[row + step])
 
 
 def _shadow_interval(shadow: NDArray[np.bool_], rows: _Indices, row: int, half_rows: int) -> tuple[float, float]:
@@ -333,8 +336,9 @@ def _shadow_interval(shadow: NDArray[np.bool_], rows: _Indices, row: int, half_r
     near = rows[np.abs(rows - row) <= half_rows]
     if near.size == 0:
         near = rows[[int(np.argmin(np.abs(rows - row)))]]
-    starts = shadow[near].argmax(axis=1)
-    stops = shadow.shape[1] - shadow[near][:, ::-1].argmax(axis=1)
+    part = shadow[near]
+    starts = part.argmax(axis=1)
+    stops = part.shape[1] - part[:, ::-1].argmax(axis=1)
     return float(statistics.median(starts.tolist())), float(statistics.median(stops.tolist()))
 
 
