@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 _FLOOR_DB: Final = -40.0  # dB over the sea floor that code 1 stands for
-_FAINTEST: Final = 1e-5  # below code 1: what has no echo gets a logarithm, and no code in the end
 _PER_DB: Final = 4.0  # codes per dB: the 8 bits reach 23.5 dB
 
 
@@ -22,7 +21,7 @@ def pack_snippet(intensity: NDArray[Any]) -> NDArray[np.uint8]:
     """
     values = np.asarray(intensity, dtype=np.float32)
     echo = values > 0.0
-    level_db = np.fmax(values, np.float32(_FAINTEST))
+    level_db = np.fmax(values, np.float32(1e-5))  # far below code 1, where there is no echo
     np.log10(level_db, out=level_db)
     level_db *= 10.0
     level_db -= _FLOOR_DB

