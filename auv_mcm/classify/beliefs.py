@@ -165,7 +165,7 @@ def conjunctive(first: Array, second: Array) -> tuple[Array, Array]:
     Both (..., 32), broadcast. Returns the mass (..., 32), not normalised, m(C) = sum of first(A) second(B) over A and B
     = C, and the mass K (...) of the empty set.
     """
-    mass = np.add.reduceat(first[..., _FIRST] * second[..., _SECOND], _STARTS, axis=-1)
+    mass = np.add.reduceat(first.take(_FIRST, axis=-1) * second.take(_SECOND, axis=-1), _STARTS, axis=-1)
     return mass, mass[..., 0]
 
 
