@@ -348,8 +348,8 @@ def _wavenumbers(
 ) -> tuple[Array, Array, NDArray[np.intp], NDArray[np.bool_], NDArray[np.bool_]]:
     """Compute the wavenumbers of the half plane of the spectrum, flattened.
 
-    Cycles per metre along and across, the ring each belongs to, which may be ripples, which are long. Kept: not to be
-    changed.
+    Cycles per metre along and across, the ring each belongs to, which may be ripples, which are long. All
+    callers share them and leave them as they are.
     """
     along = np.repeat(np.fft.fftfreq(WINDOW_BLOCKS, block_m[0]), WINDOW_BLOCKS // 2 + 1)
     across = np.tile(np.fft.rfftfreq(WINDOW_BLOCKS, block_m[1]), WINDOW_BLOCKS)

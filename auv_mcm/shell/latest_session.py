@@ -10,6 +10,7 @@ from typing import Final
 
 LATEST: Final = "latest"  # the link
 SESSION: Final = "session-"  # how the name of a session's folder begins, with the time of its start behind
+_FOLDERS: Final = f"{SESSION}????????T??????Z/"  # folders of sessions, not archives or copies beside them
 
 log = logging.getLogger(__name__)
 
@@ -34,4 +35,4 @@ def latest_session(parent: Path) -> Path:
     """
     if (parent / LATEST).is_symlink():
         return parent / os.readlink(parent / LATEST)
-    return max(parent.glob(f"{SESSION}*"), default=parent / LATEST)
+    return max(parent.glob(_FOLDERS), default=parent / LATEST)

@@ -140,11 +140,14 @@ def test_a_session_on_a_memory_card_without_links_goes_on(tmp_path: Path, monkey
         raise PermissionError(errno.EPERM, "Operation not permitted", str(link))  # as FAT does
 
     monkeypatch.setattr(Path, "symlink_to", refuse)
-    (tmp_path / "session-20200101T000000Z").mkdir()
+    for folder in ("session-19990101T000000Z", "session-of-yesterday"):
+        (tmp_path / folder).mkdir()
     cut_off(tmp_path, events(0, 12), "C0006")
     assert not (tmp_path / "latest").exists()
+    (session,) = tmp_path.glob("session-20*Z")
+    session.with_suffix(".zip").write_bytes(b"an archive of it")
     after = serve(tmp_path, events(12, 24))
-    assert len(list(tmp_path.glob("session-*"))) == 2
+    assert after.folder == session
     assert ids(after.folder) == journal(after.folder) == EXPECTED
     assert [path.name for path in tmp_path.glob(".*")] == []
 
