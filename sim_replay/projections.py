@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from bisect import bisect
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias
 
@@ -56,8 +57,7 @@ def projection(text: str, longitude_deg: float, latitude_deg: float) -> Projecti
         does not map.
     """
     if text.lower() == UTM:
-        zone = min(math.floor((longitude_deg + 180.0) % 360.0 / 6.0), 59) + 1
-        epsg = (_NORTH if latitude_deg >= 0.0 else _SOUTH) + zone
+        epsg = (_NORTH if latitude_deg >= 0.0 else _SOUTH) + _utm_zone(longitude_deg, latitude_deg)
     else:
         found = _EPSG.fullmatch(text)
         if found is None:
@@ -78,6 +78,16 @@ def projection(text: str, longitude_deg: float, latitude_deg: float) -> Projecti
                 "can map. Name another, or give utm"
             )
     return Projection(epsg, project)
+
+
+def _utm_zone(longitude_deg: float, latitude_deg: float) -> int:
+    """Find the zone of UTM, whose borders are others off southern Norway and about Svalbard."""
+    longitude_deg = float(wrap_longitude_deg(longitude_deg))
+    if 56.0 <= latitude_deg < 64.0 and 3.0 <= longitude_deg < 6.0:
+        return 32
+    if latitude_deg >= 72.0 and 0.0 <= longitude_deg < 42.0:
+        return 31 + 2 * bisect((9.0, 21.0, 33.0), longitude_deg)
+    return min(math.floor((longitude_deg + 180.0) / 6.0), 59) + 1
 
 
 def _transformer(text: str, epsg: int) -> Transformer:

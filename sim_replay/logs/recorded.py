@@ -155,10 +155,19 @@ class RecordedMission:
 
 
 def several_at_once(events: Iterable[SourceEvent]) -> Iterator[SourceEvent]:
-    """Read events several at once: one by one between the stages of the chain each costs a third more to read."""
+    """Read events several at once: one by one between the stages of the chain each costs a third more to read.
+
+    Those read before a reader fails are given, too.
+    """
     stream = iter(events)
-    while batch := list(islice(stream, _BATCH)):
-        yield from batch
+    while True:
+        batch: list[SourceEvent] = []
+        try:
+            batch.extend(islice(stream, _BATCH))
+        finally:
+            yield from batch
+        if not batch:
+            return
 
 
 class Pace:

@@ -52,6 +52,25 @@ def test_utm_is_the_zone_of_the_place_and_any_code_in_metres_will_do() -> None:
             check_crs(wrong)
 
 
+@pytest.mark.parametrize(
+    ("longitude_deg", "latitude_deg", "zone"),
+    [
+        (5.3, 60.4, 32),
+        (2.9, 60.4, 31),
+        (5.3, 55.9, 31),
+        (5.3, 64.0, 31),
+        (8.9, 78.2, 31),
+        (15.6, 78.2, 33),
+        (33.0, 78.0, 37),
+    ],
+)
+def test_utm_has_other_zones_off_norway_and_about_svalbard(
+    longitude_deg: float, latitude_deg: float, zone: int
+) -> None:
+    assert projection("utm", longitude_deg, latitude_deg).epsg == 32600 + zone
+    assert projection("utm", longitude_deg, -latitude_deg).epsg == 32700 + int(longitude_deg // 6) + 31
+
+
 @pytest.mark.parametrize("code", ["EPSG:2053", "EPSG:5513", "EPSG:5555", "EPSG:102100", "EPSG:32700"])
 def test_a_map_that_would_be_mirrored_or_that_no_geotiff_can_name_is_refused(code: str) -> None:
     with pytest.raises(UsageError, match=r"Name (another|one)"):

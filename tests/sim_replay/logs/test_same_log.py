@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
 
+import pytest
 from msgspec import structs
 
-from auv_mcm.records import NavSample, Notice, Ping
+from auv_mcm.records import NavSample, Notice, Ping, SourceEvent
 from auv_mcm.settings.config import Config, SonarConfig
+from sim_replay.logs.log_reader import Log
 from sim_replay.logs.recorded import RecordedMission
 from sim_replay.logs.same_log import PingsOnce
 from tests.sim_replay.logs.xtf_logs import mission, written
@@ -41,6 +44,20 @@ def test_pings_that_two_files_share_count_once(tmp_path: Path) -> None:
     assert times_s == sorted(set(times_s))
     assert len(times_s) == 40
     assert [event.code for event in read if isinstance(event, Notice)].count("log_repeated") == 1
+
+
+def test_what_was_read_before_a_reader_fails_is_given(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = RecordedMission([written(tmp_path / "a.xtf", 40)], Config())
+
+    def unplugged(log: Log) -> Iterator[SourceEvent]:
+        yield from islice(mission(40), 50)
+        raise OSError("the disk is gone")
+
+    monkeypatch.setattr(type(whole.logs[0]), "__iter__", unplugged)
+    stream, read = whole.events(), list[SourceEvent]()
+    with pytest.raises(OSError, match="the disk is gone"):
+        read.extend(stream)
+    assert len(read) == 50
 
 
 def test_navigation_is_not_gathered_until_the_sonar_pings() -> None:
