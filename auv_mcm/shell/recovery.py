@@ -158,7 +158,8 @@ def resumable_session(parent: Path, kind: str, now_s: float, within_h: float) ->
     if memory.kind != kind:
         return _not_resumed(last, "the program or its configuration is another one")
     if memory.is_over:
-        return _not_resumed(last, "its last contacts were announced, and would be found twice")
+        has_results = (last / SUMMARY).exists()  # a kill came before its state was removed
+        return None if has_results else _not_resumed(last, "its last contacts were announced, and would be found twice")
     if age_h > within_h:
         return _not_resumed(last, f"it is {age_h:.0f} h old, more than service.resume_within_h")
     return Unfinished(last, memory)
@@ -250,10 +251,15 @@ def _named_models(config: Config) -> list[str]:
 
 
 def remove_state(folder: Path) -> None:
-    """Remove what a restart would go on from. What cannot be removed stays."""
+    """Remove what a restart would go on from. What cannot be removed stays.
+
+    The memory goes first: with it and without the rest, a restart would write empty results over those of the session.
+    """
     state = folder / STATE
     with contextlib.suppress(OSError):
         if not state.is_symlink():
+            (state / _MEMORY).unlink(missing_ok=True)
+            sync_directory(state)
             shutil.rmtree(state)
 
 

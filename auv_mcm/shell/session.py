@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections import Counter
 from datetime import UTC, datetime
 from pathlib import Path
@@ -12,6 +13,7 @@ import msgspec
 from auv_mcm.clock import Clock
 from auv_mcm.errors import UsageError
 from auv_mcm.records import Contact, EarlyContact, Notice, PipelineEvent
+from auv_mcm.safe_files import remove_unfinished
 from auv_mcm.settings.config import Config
 from auv_mcm.shell.latest_session import SESSION, point_latest_to
 from auv_mcm.shell.recovery import (
@@ -78,6 +80,8 @@ def open_session(parent: Path, config: Config, clock: Clock, *, may_resume: bool
     if isinstance(found, Unfinished):
         memory = msgspec.structs.replace(found.memory, n_starts=found.memory.n_starts + 1)
         notice = _resumed(found.folder, memory.n_starts)
+        with contextlib.suppress(OSError):  # on a disk that can only be read
+            remove_unfinished(found.folder)
         return Session(found.folder, memory, read_announced(found.folder), (notice,))
     unfinished = found or unfinished_session(parent)
     folder, began_s = _new_folder(parent, now_s)

@@ -293,3 +293,45 @@ def test_sessions_that_begin_as_a_clock_shows_the_same_have_numbers_of_their_own
     sessions = [open_session(tmp_path, Config(), ManualClock(), may_resume=False) for _ in range(3)]
     assert len({int(session.memory.started_s) for session in sessions}) == len({each.folder for each in sessions}) == 3
     assert (tmp_path / "latest").resolve() == sessions[-1].folder
+
+
+def test_what_a_kill_left_half_written_is_gone_when_the_session_goes_on(tmp_path: Path) -> None:
+    folder = cut_off(tmp_path, events(0, 12), "C0006")
+    left = [folder / name / f".{number:016x}.new" for number, name in enumerate((".", "snippets", "state"))]
+    for path in left:
+        path.parent.mkdir(exist_ok=True)
+        path.write_bytes(b"the first ha")
+    after = serve(tmp_path, events(12, 24))
+    assert (after.folder.resolve(), ids(after.folder)) == (folder, EXPECTED)
+    assert [path for path in left if path.exists()] == []
+
+
+def test_results_outlast_a_power_cut_while_the_state_is_removed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A file system may give up the rest of it before what says that there is one."""
+
+    def remove_most(state: Path) -> None:
+        for path in state.iterdir():
+            if path.name != "service.json":
+                path.unlink()
+        raise OSError(errno.EIO, "Input/output error")
+
+    with monkeypatch.context() as at_the_end:
+        at_the_end.setattr("auv_mcm.shell.recovery.shutil.rmtree", remove_most)
+        before = serve(tmp_path, events(0, 24)).folder.resolve()
+    results = {name: (before / name).read_bytes() for name in ("contacts.geojson", "coverage.geojson", "summary.json")}
+    after = serve(tmp_path, events(24, 36))
+    assert after.folder.resolve() != before
+    assert {name: (before / name).read_bytes() for name in results} == results
+    assert [line for line in after.said if "cut off" in line] == []
+
+
+def test_a_session_with_all_its_results_is_not_said_to_be_cut_off(tmp_path: Path) -> None:
+    """A kill came behind the summary, before its state was removed."""
+    kill(tmp_path, "C9999")
+    folder = (tmp_path / "latest").resolve()
+    (folder / "summary.json").write_text("{}")
+    after = serve(tmp_path, events(20, 40))
+    assert after.folder.resolve() != folder
+    assert [line for line in after.said if "cut off" in line] == []
