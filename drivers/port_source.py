@@ -176,6 +176,8 @@ class PortSource:
             self._put(self._intake.finish())
         finally:
             self._ended = True
+            if self._vehicle_port is not None:  # it is heard on
+                self.sent(NO_PORT, b"")
 
     def take(self, port: str, data: bytes, stamp: Stamp) -> None:
         """Take bytes of a port, or none: a tick."""
@@ -226,7 +228,7 @@ class PortSource:
         self._backlog.give_up()
 
     def sent(self, port: str, data: bytes) -> None:
-        """Record bytes that went out to a port."""
+        """Record bytes that went out to a port; none to no port: the end of all events."""
         if self._record is not None:
             self._record(port, "out", self._now(), data)
 

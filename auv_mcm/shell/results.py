@@ -52,7 +52,7 @@ def plan_waypoints(
         return plan_reinspection(contacts, *pose, plan)
     asking = (contact for contact in contacts if needs_second_look(contact, plan.min_p_mine))
     proposal = propose(asking, PlanRequest(*pose, frozenset()), plan, vehicle)
-    counters["plan.outside_fence"] += len(proposal.refused)
+    counters.update({"plan.outside_fence": len(proposal.refused)} if proposal.refused else {})
     return proposal.waypoints
 
 

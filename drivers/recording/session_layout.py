@@ -34,6 +34,11 @@ class Recorded(NamedTuple):
     stamp: Stamp
     data: bytes
 
+    @property
+    def ends_events(self) -> bool:
+        """Find whether no event came of what follows: the service had stopped, and talked to its vehicle alone."""
+        return not self.port and self.direction == "out"
+
 
 class PartEnd(NamedTuple):
     """Mark, between recordings of one session, that its service ended and was started again.

@@ -112,17 +112,20 @@ class PortLog:
     def __iter__(self) -> Iterator[SourceEvent]:
         chunks = iter(self._recording)
         self._intake, self._finished = self._make_intake(), Counter()
-        n_notices, last_ns = 0, None
+        n_notices, last_ns, has_ended = 0, None, False
         for recorded in chunks:
             yield from self._recording.notices[n_notices:]
             n_notices = len(self._recording.notices)
             if isinstance(recorded, PartEnd):
-                if not recorded.is_cut_off:
+                if not recorded.is_cut_off and not has_ended:
                     yield from self._intake.finish()
                 self._begin_intake()
-                last_ns = None
+                last_ns, has_ended = None, False
                 continue
-            if recorded.direction != "in":
+            if recorded.ends_events:
+                has_ended = True
+                yield from self._intake.finish()
+            if recorded.direction != "in" or has_ended:
                 continue
             if (
                 last_ns is not None
@@ -134,7 +137,7 @@ class PortLog:
             last_ns = recorded.stamp.mono_ns
             yield from self._intake.feed(recorded.port, recorded.data, recorded.stamp)
         yield from self._recording.notices[n_notices:]
-        yield from self._intake.finish()
+        yield from () if has_ended else self._intake.finish()
 
     def _begin_intake(self) -> None:
         self._finished += self._intake.counters

@@ -7,13 +7,14 @@ import asyncio
 import itertools
 from collections import Counter
 from collections.abc import Callable
-from typing import Any, ClassVar
+from pathlib import Path
+from typing import Any, ClassVar, Literal
 
 import pytest
 
 from auv_mcm.clock import Clock, Stamp, SystemClock
 from auv_mcm.errors import HardwareError, UsageError
-from auv_mcm.records import Contact, NavSample, SourceEvent, Waypoint
+from auv_mcm.records import Contact, NavSample, Notice, SourceEvent, Waypoint
 from auv_mcm.settings.config import Config
 from auv_mcm.settings.port_settings import PortConfig
 from auv_mcm.settings.vehicle_settings import VEHICLE_NAMES
@@ -24,6 +25,7 @@ from drivers.links.link import Link
 from drivers.port_source import OnBytes, OnState, PortSource
 from drivers.port_stream import pack_can
 from drivers.ports import PortSettings, read_ports
+from drivers.recording.session_layout import Recorded
 from drivers.vehicle.can_receiver import CanReceiver
 from drivers.vehicle.imc_crc import crc16_arc
 from drivers.vehicle.pilot import Pilot
@@ -34,6 +36,8 @@ from sim_replay.fakes.vehicles.fake_vehicle import FakeController
 from sim_replay.fakes.vehicles.imc import FakeImc
 from sim_replay.fakes.vehicles.iver import FakeIver
 from sim_replay.fakes.vehicles.recon import FakeRecon
+from sim_replay.logs.recorded import open_mission
+from sim_replay.wire_logs import Run, write_session
 from tests.auv_mcm.classify import drawn_looks
 from tests.drivers.port_traffic import Collected, MemoryWire, config_of
 from tests.make.records import nav_of, waypoint_of
@@ -81,7 +85,7 @@ class Bench:
         self.wire = Wire(controller)
         self.controller = controller
         self.events: list[SourceEvent] = []
-        self.recorded: list[tuple[str, str, Stamp, bytes]] = []
+        self.recorded: list[tuple[str, Literal["in", "out"], Stamp, bytes]] = []
         self.source = PortSource(self.config, SystemClock(), self._open)
         self.source.record_with(lambda *chunk: self.recorded.append(chunk))
         assert self.source.vehicle is not None
@@ -179,7 +183,7 @@ def test_the_vehicle_is_heard_and_informed_and_every_word_is_recorded(
     (report,) = bench.controller.take_reports()
     assert (report.number, report.revision) == (1, 1)
     assert abs(report.session - SystemClock().utc_s()) < 60.0
-    ways = Counter(way for _, way, _, _ in bench.recorded)
+    ways = Counter(way for port, way, _, _ in bench.recorded if port)
     assert ways["in"] > 0
     assert ways["out"] == bench.source.counters()["port.v.messages_sent"] > 0
     assert not [event for event in bench.events if isinstance(event, NavSample)]
@@ -217,6 +221,24 @@ def test_a_plan_is_flown_when_it_is_granted_and_control_goes_back_even_after_the
     )
     assert not bench.controller.in_control
     assert bench.source.counters()["vehicle.granted"] == 1
+
+
+@each_dialect
+def test_what_the_vehicle_says_after_the_source_has_ended_is_no_navigation_of_a_replay(
+    text: str, make: Callable[[], FakeController[Any]], tmp_path: Path
+) -> None:
+    bench = Bench(text.replace("}]", WITH_NAVIGATION), make())
+    n_heard: list[int] = []  # chunks, from the end of the source on
+
+    def is_heard_on() -> bool:
+        n_heard.append(sum(way == "in" for _, way, _, _ in bench.recorded))
+        return n_heard[-1] >= n_heard[0] + 10
+
+    bench.run(lambda: sum(isinstance(event, NavSample) for event in bench.events) > 3, after_events=(is_heard_on,))
+    chunks = tuple(Recorded(port, way, stamp, data) for port, way, stamp, data in bench.recorded)
+    session = write_session(Run(bench.config, chunks, 0.0), tmp_path / "recording")
+    replayed = [str(event) for event in open_mission([session], bench.config).events()]
+    assert replayed == [str(event) for event in bench.events if not isinstance(event, Notice)]
 
 
 def test_after_the_wire_was_pulled_what_was_not_acknowledged_is_reported_and_once_only() -> None:

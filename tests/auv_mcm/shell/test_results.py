@@ -34,6 +34,9 @@ def test_no_way_point_of_the_results_lies_outside_the_fence_and_what_it_costs_is
     assert {point.contact_id for point in inside} == {"C00001"}
     assert all(42.999 < point.latitude_deg < 43.001 and 4.999 < point.longitude_deg < 5.001 for point in inside)
     assert counters == {"plan.outside_fence": 1}
+    none = Counter[str]()
+    plan_waypoints(contacts[:1], tally, fenced, none)
+    assert list(none) == []
 
 
 def test_a_map_of_clearance_comes_with_its_picture_and_goes_where_nothing_was_searched(tmp_path: Path) -> None:
