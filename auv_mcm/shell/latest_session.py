@@ -25,6 +25,7 @@ def point_latest_to(folder: Path) -> None:
         link.symlink_to(folder.name)
         os.replace(link, latest)
     except OSError as error:
+        link.unlink(missing_ok=True)
         log.warning("no link 'latest' in %s: %s", folder.parent, error.strerror)
 
 

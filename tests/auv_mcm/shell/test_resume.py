@@ -152,6 +152,17 @@ def test_a_session_on_a_memory_card_without_links_goes_on(tmp_path: Path, monkey
     assert [path.name for path in tmp_path.glob(".*")] == []
 
 
+def test_a_link_that_does_not_get_its_name_leaves_nothing_behind(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(new: Path, old: Path) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("auv_mcm.shell.latest_session.os.replace", full)
+    session = open_session(tmp_path, Config(), ManualClock(), may_resume=False)
+    assert list(tmp_path.iterdir()) == [session.folder]
+
+
 def test_contacts_whose_events_are_lost_keep_their_numbers_to_themselves(tmp_path: Path) -> None:
     folder = cut_off(tmp_path, events(0, 12), "C0006")
     (folder / "state" / "events-000001.bin").write_bytes(b"")
