@@ -7,6 +7,7 @@ belongs to the contact nearest to its place, if one is near enough.
 
 from __future__ import annotations
 
+import codecs
 import math
 import os
 from collections.abc import Iterable, Sequence
@@ -38,6 +39,9 @@ MIN_MINE_LIKE: Final = 20
 """Contacts judged mine-like, of all missions: the offset's standard error is about 0.25 nats then, half its prior."""
 MIN_NOT_MINE_LIKE: Final = 40  # contacts judged not mine-like, twice as many, since most of them say little
 
+_APART_M: Final = 5.0
+"""Distance in m between two lines of one object beyond which they are about two: no gate is wider than 4 m."""
+
 MAX_TYPE: Final = 64  # characters: a name, not a story
 MAX_COMMENT: Final = 2000  # characters: a page of text
 MAX_LINE_BYTES: Final = 32768
@@ -47,7 +51,7 @@ _Size: TypeAlias = Annotated[float, Meta(ge=0.0, le=1000.0)] | None  # m
 _Name: TypeAlias = Annotated[str, Meta(max_length=MAX_TYPE)]
 
 
-class Verdict(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+class Verdict(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, forbid_unknown_fields=True):
     """Hold what one person says about one object on the sea floor, once.
 
     object: names the object within its file, `V0001` and on. time: ISO 8601 UTC of the judgement; by: who judged.
@@ -113,18 +117,19 @@ def append_verdict(folder: Path, verdict: Verdict) -> None:
 def read_verdicts(folder: Path) -> tuple[Verdict, ...]:
     """Read every verdict in a folder of results, in the order of judging; none if nobody judged.
 
-    The last line may be cut off, as by a power cut, and is then left out. Raises BadInputError naming the line for any
-    other damage.
+    A line that was cut off, as by a power cut, is left out. Raises BadInputError naming the line for any other damage,
+    and for files put together in which one name is of two objects.
     """
     path = folder / VERDICTS_FILE
     if not path.exists():
         return ()
     try:
         with open_regular(path) as file:
-            lines = file.read().split(b"\n")
+            lines = file.read().removeprefix(codecs.BOM_UTF8).split(b"\n")
     except OSError as error:
         raise BadInputError(f"{path} cannot be read: {error.strerror}. Check its permissions.") from error
-    verdicts = []
+    verdicts: list[Verdict] = []
+    last: dict[str, Verdict] = {}
     for number, line in enumerate(lines, start=1):
         if not line.strip():
             continue
@@ -133,17 +138,33 @@ def read_verdicts(folder: Path) -> tuple[Verdict, ...]:
                 raise ValueError(f"it has {len(line)} bytes, more than {MAX_LINE_BYTES}")
             verdicts.append(msgspec.json.decode(line, type=Verdict))
         except (msgspec.MsgspecError, ValueError) as error:
-            is_cut_off = number == len(lines) or _looks_cut_off(line)
-            if is_cut_off:
+            if _looks_cut_off(line, is_last=number == len(lines)):
                 continue
             raise BadInputError(f"{path}, line {number}: not a verdict: {error}. Mend or remove this line.") from error
+        before = last.setdefault(verdicts[-1].object, verdicts[-1])
+        if _apart_m(before, verdicts[-1]) > _APART_M:
+            raise BadInputError(
+                f"{path}, line {number}: {before.object} lies {_apart_m(before, verdicts[-1]):.0f} m from where a line "
+                "before has it. Where you put two files together, give every object of the second one another name, "
+                f"such as V9{before.object[1:]} for {before.object}: a name stands for one object."
+            )
+        last[before.object] = verdicts[-1]
     return tuple(verdicts)
 
 
 def newest_verdicts(verdicts: Iterable[Verdict]) -> dict[str, Verdict]:
-    """Keep the last verdict of each object, by object, without those withdrawn."""
-    last = {verdict.object: verdict for verdict in verdicts}
-    return {name: verdict for name, verdict in last.items() if not verdict.withdrawn}
+    """Keep the last verdict of each object, by object, without those withdrawn.
+
+    Objects at the very same place, as two people judged one contact in copies of the results, are one: the last counts.
+    """
+    last: dict[str, Verdict] = {}
+    for verdict in verdicts:
+        last.pop(verdict.object, None)
+        last[verdict.object] = verdict
+    kept = [verdict for verdict in last.values() if not verdict.withdrawn]
+    by_place = {(verdict.latitude_deg, verdict.longitude_deg): verdict.object for verdict in kept}
+    one_each = set(by_place.values())
+    return {verdict.object: verdict for verdict in sorted(kept, key=_number) if verdict.object in one_each}
 
 
 class Judged(NamedTuple):
@@ -178,7 +199,7 @@ def evidence_words(missions: Sequence[Judged]) -> str:
 
 def next_object(verdicts: Iterable[Verdict]) -> str:
     """Name an object that was not judged before."""
-    return f"V{1 + max((int(verdict.object[1:]) for verdict in verdicts), default=0):04d}"
+    return f"V{1 + max(map(_number, verdicts), default=0):04d}"
 
 
 def match_verdicts(verdicts: Iterable[Verdict], places: Sequence[Place]) -> dict[str, Verdict]:
@@ -213,12 +234,23 @@ def match_verdicts(verdicts: Iterable[Verdict], places: Sequence[Place]) -> dict
     return matched
 
 
+def _number(verdict: Verdict) -> int:
+    return int(verdict.object[1:])
+
+
+def _apart_m(first: Verdict, second: Verdict) -> float:
+    """Measure the distance of two verdicts, to 0.5 % as long as it is short."""
+    east_deg = math.remainder(second.longitude_deg - first.longitude_deg, 360.0)
+    east_deg *= math.cos(math.radians(first.latitude_deg))
+    return 111_320.0 * math.hypot(east_deg, second.latitude_deg - first.latitude_deg)
+
+
 def _ends_with_line(path: Path) -> bool:
     with open_regular(path) as file:
         file.seek(-1, os.SEEK_END)
         return file.read(1) == b"\n"
 
 
-def _looks_cut_off(line: bytes) -> bool:
-    """Find whether a line is the beginning of a verdict, which another one was appended to later."""
-    return line.startswith(b"{") and not line.rstrip().endswith(b"}")
+def _looks_cut_off(line: bytes, *, is_last: bool) -> bool:
+    """Find whether a line is the beginning of a verdict; one with its end and a comma was edited by hand."""
+    return (is_last or line.startswith(b"{")) and not line.rstrip(b" \t\r,;]").endswith(b"}")
