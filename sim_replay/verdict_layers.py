@@ -15,7 +15,7 @@ from auv_mcm.contacts.geojson import collection
 from auv_mcm.records import NAN
 from auv_mcm.shell.whole_files import write_file
 from sim_replay.structures import STRUCTURES
-from sim_replay.verdicts import Place, Verdict, match_verdicts, newest_verdicts
+from sim_replay.verdicts import Place, Verdict, is_missed, sorted_verdicts
 
 Feature = Mapping[str, Any]
 Layers = Mapping[str, Sequence[Feature]]
@@ -68,21 +68,6 @@ def with_verdicts(layers: Layers, verdicts: Iterable[Verdict]) -> dict[str, Sequ
     missed = [_alone(verdict) for verdict in alone if is_missed(verdict)]
     others = [_alone(verdict) for verdict in alone if not is_missed(verdict)]
     return found | ({MISSED: missed} if missed else {}) | ({UNMATCHED: others} if others else {})
-
-
-def sorted_verdicts(
-    verdicts: Iterable[Verdict], places: Sequence[Place]
-) -> tuple[dict[str, Verdict], tuple[Verdict, ...]]:
-    """Sort the newest verdicts into those of contacts, by contact id, and those that no contact stands for."""
-    newest = newest_verdicts(verdicts)
-    matched = match_verdicts(newest.values(), places)
-    of_contacts = {verdict.object for verdict in matched.values()}
-    return matched, tuple(verdict for name, verdict in newest.items() if name not in of_contacts)
-
-
-def is_missed(verdict: Verdict) -> bool:
-    """Decide whether a verdict that no contact stands for is of something that the chain should have found."""
-    return verdict.drawn or verdict.call == "mine_like"
 
 
 def write_geojson(path: Path, layers: Layers) -> None:

@@ -8,9 +8,11 @@ belongs to the contact nearest to its place, if one is near enough.
 from __future__ import annotations
 
 import codecs
+import fcntl
 import math
 import os
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Final, Literal, NamedTuple, TypeAlias
@@ -101,17 +103,24 @@ class Place(NamedTuple):
     sigma_m: float = NAN
 
 
-def append_verdict(folder: Path, verdict: Verdict) -> None:
+def append_verdict(folder: Path, verdict: Verdict, *, n_bytes: int | None = None) -> bool:
     """Append one verdict to the file in a folder of results, and wait until the disk holds it.
 
+    n_bytes: of the file as it was read; where another process wrote since, nothing is appended. Returns whether it was.
     A line that was cut off before is ended first, so that it does not swallow this one. Raises OSError.
     """
     line = clean_json(msgspec.json.encode(verdict).decode()).encode() + b"\n"
     with open_for_append(folder / VERDICTS_FILE) as file:
-        if os.fstat(file.fileno()).st_size and not _ends_with_line(folder / VERDICTS_FILE):
+        with suppress(OSError):  # of a file system without locks
+            fcntl.flock(file, fcntl.LOCK_EX)
+        n_now = os.fstat(file.fileno()).st_size
+        if n_bytes not in (None, n_now):
+            return False
+        if n_now and not _ends_with_line(folder / VERDICTS_FILE):
             line = b"\n" + line
         file.write(line)
         os.fsync(file.fileno())
+    return True
 
 
 def read_verdicts(folder: Path) -> tuple[Verdict, ...]:
@@ -168,20 +177,33 @@ def newest_verdicts(verdicts: Iterable[Verdict]) -> dict[str, Verdict]:
 
 
 class Judged(NamedTuple):
-    """Count what people judged in one mission. missed: drawn objects, which no odds can be learnt from."""
+    """Count the contacts of one mission that people judged.
+
+    missed: objects that were drawn or judged mine-like and that no contact stands for; unmatched: others that none
+    stands for. No odds can be learnt from either.
+    """
 
     mine_like: int
     not_mine_like: int
     undecided: int
-    missed: int
+    missed: int = 0
+    unmatched: int = 0
 
 
-def count_judged(verdicts: Iterable[Verdict]) -> Judged:
-    """Count the last verdict of each object."""
-    newest = newest_verdicts(verdicts).values()
-    calls = [verdict.call for verdict in newest if not verdict.drawn]
-    n_missed = sum(verdict.drawn for verdict in newest)
-    return Judged(calls.count("mine_like"), calls.count("not_mine_like"), calls.count("undecided"), n_missed)
+def count_judged(verdicts: Iterable[Verdict], places: Sequence[Place]) -> Judged:
+    """Count the last verdict of each object, those of the contacts at `places` by their call."""
+    matched, alone = sorted_verdicts(verdicts, places)
+    calls = [verdict.call for verdict in matched.values()]
+    n_missed = sum(map(is_missed, alone))
+    counts = (calls.count("mine_like"), calls.count("not_mine_like"), calls.count("undecided"))
+    return Judged(*counts, n_missed, len(alone) - n_missed)
+
+
+def learning_words(matched: Iterable[Verdict]) -> str:
+    """Say how far the verdicts of one mission's contacts are from correcting the odds, with what that takes."""
+    calls = [verdict.call for verdict in matched]
+    needs = f"{MIN_MINE_LIKE} mine-like and {MIN_NOT_MINE_LIKE} not, of {MIN_MISSIONS} missions, to learn from them"
+    return f"judged {calls.count('mine_like')} mine-like, {calls.count('not_mine_like')} not; it takes {needs}"
 
 
 def evidence_words(missions: Sequence[Judged]) -> str:
@@ -232,6 +254,21 @@ def match_verdicts(verdicts: Iterable[Verdict], places: Sequence[Place]) -> dict
             matched[contact_id] = judged[v]
             taken.add(name)
     return matched
+
+
+def sorted_verdicts(
+    verdicts: Iterable[Verdict], places: Sequence[Place]
+) -> tuple[dict[str, Verdict], tuple[Verdict, ...]]:
+    """Sort the newest verdicts into those of contacts, by contact id, and those that no contact stands for."""
+    newest = newest_verdicts(verdicts)
+    matched = match_verdicts(newest.values(), places)
+    of_contacts = {verdict.object for verdict in matched.values()}
+    return matched, tuple(verdict for name, verdict in newest.items() if name not in of_contacts)
+
+
+def is_missed(verdict: Verdict) -> bool:
+    """Decide whether a verdict that no contact stands for is of something that the chain should have found."""
+    return verdict.drawn or verdict.call == "mine_like"
 
 
 def _number(verdict: Verdict) -> int:

@@ -16,8 +16,9 @@ def add(commands: Commands) -> None:
         commands,
         "verdicts",
         "count what people judged, and say what it takes to correct the odds",
-        "Reads the verdicts of 'auv-mcm view' in each folder. Objects that were drawn count as missed: they have no "
-        "odds. 'auv-mcm calibrate odds --verdicts' takes the same folders once there is enough.",
+        "Reads the verdicts of 'auv-mcm view' in each folder. Objects that were drawn or judged mine-like and that no "
+        "contact stands for count as missed, others without a contact as unmatched: they have no odds. 'auv-mcm "
+        "calibrate odds --verdicts' takes the same folders once there is enough.",
         ["auv-mcm verdicts results", "auv-mcm verdicts monday tuesday wednesday --json"],
     )
     parser.add_argument(
@@ -28,19 +29,25 @@ def add(commands: Commands) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from sim_replay.verdicts import count_judged, evidence_words, read_verdicts
+    from sim_replay.verdicts import Judged, count_judged, evidence_words, read_verdicts
+    from sim_replay.view.mission_files import ContactFile, overview
+
+    def judged(folder: Path) -> Judged:
+        contacts = ContactFile(folder)
+        contacts.refresh()
+        return count_judged(read_verdicts(folder), [overview(one).place for one in contacts.features.values()])
 
     missing = next((folder for folder in arguments.folders if not folder.is_dir()), None)
     if missing is not None:
         raise UsageError(f"there is no folder {missing}. Name results of a replay, or a session.")
-    missions = {str(folder): count_judged(read_verdicts(folder)) for folder in arguments.folders}
+    missions = {str(folder): judged(folder) for folder in arguments.folders}
     words = evidence_words(list(missions.values()))
     if arguments.json:
         answer(
             {"missions": {name: one._asdict() for name, one in missions.items()}, "evidence": words}, (), as_json=True
         )
         return 0
-    header = ("mission", "mine-like", "not mine-like", "undecided", "missed")
+    header = ("mission", "mine-like", "not mine-like", "undecided", "missed", "unmatched")
     show_table("", header, [(name, *map(str, one)) for name, one in missions.items()])
     print(words)
     return 0

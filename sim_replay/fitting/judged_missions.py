@@ -18,8 +18,7 @@ from auv_mcm.model_file import SHIPPED
 from auv_mcm.program import program
 from auv_mcm.records import Detector
 from sim_replay.fitting.fit_background import log_odds_of
-from sim_replay.verdict_layers import is_missed, sorted_verdicts
-from sim_replay.verdicts import VERDICTS_FILE, read_verdicts
+from sim_replay.verdicts import VERDICTS_FILE, is_missed, read_verdicts, sorted_verdicts
 from sim_replay.view.mission_files import CONTACTS, SUMMARY, overview, read_json, read_summary, summary_config
 
 MINE: Final = 1  # verdict of a contact: mine-like

@@ -6,7 +6,7 @@ import base64
 import functools
 import hashlib
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple, Protocol
 
@@ -28,8 +28,7 @@ from sim_replay.report.chart import WIDTH, draw_chart
 from sim_replay.report.map_picture import MapPicture
 from sim_replay.report.pictures import PictureStrip
 from sim_replay.structures import Member, find_structures
-from sim_replay.verdict_layers import is_missed, sorted_verdicts
-from sim_replay.verdicts import CALLS, Place, Verdict, count_judged, evidence_words
+from sim_replay.verdicts import CALLS, Judged, Place, Verdict, evidence_words, is_missed, sorted_verdicts
 
 _NOTICES_PER_CODE: Final = 5  # shown, the others are counted
 MAX_CARDS: Final = 100  # bounds the page: see MAX_ROWS
@@ -252,7 +251,7 @@ def _is_likely(contact: Contact, judged: Mapping[str, Verdict]) -> bool:
     return bool(contact.called) or is_mine_like(contact) or _call(contact, judged) == "mine_like"
 
 
-def _judgement(judged: Iterable[Verdict], missed: Sequence[Verdict]) -> str:
+def _judgement(judged: Collection[Verdict], missed: Sequence[Verdict]) -> str:
     """Sum up what people judged, empty if nobody did."""
     verdicts = [*judged, *missed]
     if not verdicts:
@@ -261,7 +260,8 @@ def _judgement(judged: Iterable[Verdict], missed: Sequence[Verdict]) -> str:
     names = sorted({one.by for one in verdicts})
     by = ", ".join(names[:_NAMED]) + (f" and {len(names) - _NAMED} more" if len(names) > _NAMED else "")
     alone = f"; {len(missed)} of them missed: no contact stands for them" if missed else ""
-    enough = evidence_words([count_judged(verdicts)])
+    of_contacts = [one.call for one in judged]
+    enough = evidence_words([Judged(*map(of_contacts.count, CALLS))])
     return f"{', '.join(counts)}{alone}; judged by {by}. Of this mission alone, {enough}."
 
 

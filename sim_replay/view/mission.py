@@ -21,13 +21,12 @@ from sim_replay.results_folder import RESULTS_SUFFIX
 from sim_replay.structures import Member, find_structures, structure_feature
 from sim_replay.verdicts import (
     MAX_COMMENT,
-    MIN_MINE_LIKE,
-    MIN_MISSIONS,
-    MIN_NOT_MINE_LIKE,
+    VERDICTS_FILE,
     Call,
     Place,
     Verdict,
     append_verdict,
+    learning_words,
     match_verdicts,
     newest_verdicts,
     next_object,
@@ -39,11 +38,13 @@ from sim_replay.view.mission_feed import MissionFeed
 from sim_replay.view.mission_files import (
     ContactFile,
     Overview,
+    file_stamp,
     is_silent,
     number,
     overview,
     read_json,
     read_summary,
+    shown_verdict,
     time_s,
     track_of,
 )
@@ -63,6 +64,7 @@ class Judgement(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     """Hold what the page asks to write down.
 
     It is about the contact `contact_id`, the object `object`, or a new one at `row`, `across_m` of the waterfall.
+    generation: of the results that the page shows, None for any.
     """
 
     contact_id: str = ""
@@ -77,6 +79,7 @@ class Judgement(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     height_m: float | None = None
     shadow_length_m: float | None = None
     withdrawn: bool = False
+    generation: int | None = None
 
 
 class Judged(NamedTuple):
@@ -119,7 +122,7 @@ class ShownMission:
         self.folder = folder
         self.feed = feed
         self.generation = 0
-        """Counts replays that were asked for at the page: what was shown before is outdated."""
+        """Counts replays since the page began: what was shown before is outdated, and ids may be of others."""
         self._again, self._later = again, later
         self._by, self._is_live = clean(by), is_live
         self._contacts = ContactFile(folder)
@@ -129,6 +132,7 @@ class ShownMission:
         self._part_of: dict[str, str] = {}
         self._verdicts = read_verdicts(folder)
         self._verdict_version = 0
+        self._verdict_stamp: tuple[int, int] | None = None
         self._matched: tuple[tuple[int, int], dict[str, Verdict]] = ((-1, -1), {})
         self.summary = read_summary(folder)
 
@@ -139,7 +143,12 @@ class ShownMission:
 
     def refresh(self) -> None:
         """Read what is new in the folder. Raises BadInputError for damaged files."""
-        self._contacts.refresh()
+        if is_other := self._contacts.refresh():
+            self.generation += 1
+            self.summary = None
+        if (stamp := file_stamp(self.folder / VERDICTS_FILE)) != self._verdict_stamp:  # of another page, or by hand
+            self._verdicts, self._verdict_stamp = read_verdicts(self.folder), stamp
+            self._verdict_version += 1
         if self._overview_version != self._contacts.version:
             self._overviews = [overview(feature) for feature in self._contacts.features.values()]
             self._find_structures()
@@ -150,7 +159,7 @@ class ShownMission:
             self.feed.close()
             self.feed, self._later = self._later(), None
             self.feed.start()
-            self.generation += 1
+            self.generation += not is_other
 
     def _find_structures(self) -> None:
         members = [
@@ -195,7 +204,7 @@ class ShownMission:
             "mine_like_p": MINE_LIKE_P,
             "near_m": NEAR_M,
             "verdicts": len(self._verdicts),
-            "judged": self._judged_words(),
+            "judged": learning_words(self.judged().by_contact.values()),
             "max_comment": MAX_COMMENT,
             "generation": self.generation,
             "replay_again": self._again is not None and self.feed.is_done and not self._is_replaying(),
@@ -225,8 +234,10 @@ class ShownMission:
                 ],
                 "structure": [self._part_of.get(contact.id) for contact in found],
                 "structures": self._structures,
-                "verdicts": {name: _shown(verdict) for name, verdict in by_contact.items()},
-                "drawn": [{**_shown(verdict), "row": row} for verdict, row in zip(*self._drawn(shown), strict=True)],
+                "verdicts": {name: shown_verdict(verdict) for name, verdict in by_contact.items()},
+                "drawn": [
+                    {**shown_verdict(verdict), "row": row} for verdict, row in zip(*self._drawn(shown), strict=True)
+                ],
             }
         )
 
@@ -264,24 +275,22 @@ class ShownMission:
 
         Raises UsageError for one about nothing or out of bounds, BadInputError for damaged ones, OSError from the disk.
         """
-        self._verdicts = read_verdicts(self.folder)
-        self._verdict_version += 1
-        try:
-            verdict = self._verdict(judgement)
-            verdict = msgspec.convert(msgspec.to_builtins(verdict), Verdict)  # its bounds
-        except (msgspec.ValidationError, ValueError) as error:
-            raise UsageError(f"this verdict cannot be kept: {error}") from error
-        append_verdict(self.folder, verdict)
+        if judgement.generation not in (None, self.generation):
+            raise UsageError("this mission was replayed meanwhile, and its contacts have other names. Choose it again.")
+        is_kept = False
+        while not is_kept:
+            n_bytes = (file_stamp(self.folder / VERDICTS_FILE) or (0, 0))[1]
+            self._verdicts = read_verdicts(self.folder)
+            self._verdict_version += 1
+            try:
+                verdict = self._verdict(judgement)
+                verdict = msgspec.convert(msgspec.to_builtins(verdict), Verdict)  # its bounds
+            except (msgspec.ValidationError, ValueError) as error:
+                raise UsageError(f"this verdict cannot be kept: {error}") from error
+            is_kept = append_verdict(self.folder, verdict, n_bytes=n_bytes)
         self._verdicts = (*self._verdicts, verdict)
         self._verdict_version += 1
         return verdict
-
-    def _judged_words(self) -> str:
-        """Word how far the verdicts of this mission are from what `auv-mcm calibrate odds --verdicts` needs."""
-        calls = [verdict.call for verdict in newest_verdicts(self._verdicts).values() if not verdict.drawn]
-        mines, others = calls.count("mine_like"), calls.count("not_mine_like")
-        needs = f"{MIN_MINE_LIKE} mine-like and {MIN_NOT_MINE_LIKE} not, of {MIN_MISSIONS} missions, to learn from them"
-        return f"judged {mines} mine-like, {others} not; it takes {needs}"
 
     def bottom(self) -> dict[str, Any]:
         """Give the first bottom return along the waterfall, and what people corrected of it; see `bottom_shown`."""
@@ -305,7 +314,7 @@ class ShownMission:
         self.feed.close()
         self.feed, self.replay, self.summary = feed, replay, None
         self._contacts = ContactFile(self.folder)
-        self._overview_version = -1
+        self._overview_version, self._matched = -1, ((-1, -1), {})
         self.generation += 1
         replay.start()
         feed.start()
@@ -407,7 +416,7 @@ class ShownMission:
             about = self._drawn_at(WaterfallPoint(judgement.row, judgement.across_m))
         else:
             raise UsageError("a verdict is about a contact, an object that was judged before, or a place")
-        return Verdict(
+        verdict = Verdict(
             object=earlier.object if earlier else next_object(self._verdicts),
             time=iso_time(SystemClock().utc_s()) or "",
             by=self._by,
@@ -421,6 +430,18 @@ class ShownMission:
             withdrawn=judgement.withdrawn,
             **about,
         )
+        if verdict.drawn and earlier is None:
+            self._check_apart(verdict)
+        return verdict
+
+    def _check_apart(self, drawn: Verdict) -> None:
+        """Raise UsageError for an object drawn so near to a contact that its verdict would become that contact's."""
+        for name, verdict in match_verdicts((*self._verdicts, drawn), [one.place for one in self._overviews]).items():
+            if verdict.object == drawn.object:
+                raise UsageError(
+                    f"{name} lies here and would take this verdict. If it is what you see, judge {name}; if this is "
+                    f"another object beside it, judge {name} first, as undecided if need be, and draw again."
+                )
 
     def _drawn_at(self, point: WaterfallPoint) -> dict[str, Any]:
         store = self.store
@@ -469,29 +490,6 @@ def _about(contact: Overview, view_time: str) -> dict[str, Any]:
         "side": contact.side or None,
         "view_time": iso_time(contact.time_s) or view_time,
         **{name: value for name, value in known.items() if math.isfinite(value)},
-    }
-
-
-def _shown(verdict: Verdict) -> dict[str, Any]:
-    return {
-        "object": verdict.object,
-        "call": verdict.call,
-        "type": verdict.type,
-        "comment": verdict.comment,
-        "by": verdict.by,
-        "time": verdict.time,
-        "drawn": verdict.drawn,
-        "latitude": verdict.latitude_deg,
-        "longitude": verdict.longitude_deg,
-        "across": None
-        if verdict.ground_range_m is None
-        else -verdict.ground_range_m
-        if verdict.side == "port"
-        else verdict.ground_range_m,
-        "length_m": verdict.length_m,
-        "width_m": verdict.width_m,
-        "height_m": verdict.height_m,
-        "shadow_length_m": verdict.shadow_length_m,
     }
 
 

@@ -18,7 +18,7 @@ from auv_mcm.errors import AuvMcmError, BadInputError
 from auv_mcm.safe_files import open_regular
 from auv_mcm.settings.config import Config
 from auv_mcm.shell.health.files import HEALTH, read_health
-from sim_replay.verdicts import Place
+from sim_replay.verdicts import Place, Verdict
 from sim_replay.view.waterfall_store import Seen
 
 SUMMARY: Final = "summary.json"
@@ -57,27 +57,36 @@ class ContactFile:
         self._folder = folder
         self._state: tuple[Any, ...] = ()
         self._journal_bytes = 0
+        self._is_whole = False
         self.version = 0
         """Counts changes."""
         self.features: dict[str, dict[str, Any]] = {}
         """GeoJSON features as written, by contact id, in the order of ids."""
 
-    def refresh(self) -> None:
+    def refresh(self) -> bool:
         """Read what is new. A journal's lines are read once each; contacts.geojson counts once the mission has ended.
 
+        Returns whether another replay's contacts took the place of those before, so that an id may be of another one.
         Raises BadInputError for a damaged file.
         """
         whole, journal = self._folder / CONTACTS, self._folder / JOURNAL
         has_ended = not journal.exists() or (self._folder / SUMMARY).exists()  # else it may be of an earlier start
-        state = (_stamp(whole) if has_ended else None, _stamp(journal))
+        state = (file_stamp(whole) if has_ended else None, file_stamp(journal))
         if state == self._state:
-            return
+            return False
+        is_other = False
         if state[0] is not None:
             if not self._state or state[0] != self._state[0]:
+                is_other = self._is_whole
                 self._take(_features(whole))
+                self._is_whole = True
         elif state[1] is not None:
+            if self._is_whole:
+                is_other, self._is_whole = True, False
+                self._journal_bytes, self.features = 0, {}
             self._read_journal(journal)
         self._state = state
+        return is_other
 
     def _read_journal(self, path: Path) -> None:
         with open_regular(path) as file:
@@ -125,6 +134,30 @@ def overview(feature: dict[str, Any]) -> Overview:
         ground_range_m=number(ground_range_m),
         time_s=time_s(shown.get("time") or properties.get("time")),
     )
+
+
+def shown_verdict(verdict: Verdict) -> dict[str, Any]:
+    """Take from a verdict what lists and maps show."""
+    return {
+        "object": verdict.object,
+        "call": verdict.call,
+        "type": verdict.type,
+        "comment": verdict.comment,
+        "by": verdict.by,
+        "time": verdict.time,
+        "drawn": verdict.drawn,
+        "latitude": verdict.latitude_deg,
+        "longitude": verdict.longitude_deg,
+        "across": None
+        if verdict.ground_range_m is None
+        else -verdict.ground_range_m
+        if verdict.side == "port"
+        else verdict.ground_range_m,
+        "length_m": verdict.length_m,
+        "width_m": verdict.width_m,
+        "height_m": verdict.height_m,
+        "shadow_length_m": verdict.shadow_length_m,
+    }
 
 
 def time_s(text: Any) -> float:
@@ -208,7 +241,8 @@ def _features(path: Path) -> list[dict[str, Any]]:
     return list(features)
 
 
-def _stamp(path: Path) -> tuple[int, int] | None:
+def file_stamp(path: Path) -> tuple[int, int] | None:
+    """Return what a file has another of once it was written, None if it is not there."""
     try:
         found = path.stat()
     except OSError:

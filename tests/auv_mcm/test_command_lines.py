@@ -192,7 +192,7 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
         shutil.copytree(folder / "results", folder / name)
         if name.endswith("day"):
             judged = "2026-05-04T10:00:00Z"
-            verdict = Verdict(object="V0001", time=judged, by="kim", latitude_deg=0.0, longitude_deg=0.0)
+            verdict = Verdict(object="V0002", time=judged, by="kim", latitude_deg=0.0, longitude_deg=0.0)
             append_verdict(folder / name, verdict)
     for name in ("s1", "s2", "augmented", "out-demo/sim"):
         (folder / name).mkdir(parents=True, exist_ok=True)

@@ -13,7 +13,7 @@ from auv_mcm.cli import main
 from auv_mcm.commands import Parser
 from auv_mcm.commands.tables import show_table
 from auv_mcm.shell.registry import COMMANDS, load
-from sim_replay.verdicts import Verdict, append_verdict, count_judged, evidence_words
+from sim_replay.verdicts import Place, Verdict, append_verdict, count_judged, evidence_words, read_verdicts
 from tests.sim_replay.test_vector_layers import results as made_up_results
 
 results = made_up_results
@@ -86,12 +86,12 @@ def test_a_table_on_a_terminal_is_drawn_by_rich(
 
 
 def test_how_far_verdicts_are_from_correcting_the_odds(tmp_path: Path) -> None:
-    for number, call in enumerate(["mine_like"] * 2 + ["not_mine_like", "undecided"], 1):
-        at = {"object": f"V{number:04d}", "time": "2026-01-01T00:00:00Z", "by": "kim"}
-        append_verdict(tmp_path, Verdict(**at, latitude_deg=1.0, longitude_deg=2.0, call=call, drawn=number == 2))  # type: ignore[arg-type]
-    from sim_replay.verdicts import read_verdicts
-
-    judged = count_judged(read_verdicts(tmp_path))
-    assert judged == (1, 1, 1, 1), "a drawn object is missed, and has no odds"
-    assert "1 of 3 missions judged, 1 of 20 mine-like, 1 of 40 not mine-like" in evidence_words([judged])
+    places = []
+    for number, call in enumerate(["mine_like"] * 4 + ["not_mine_like"] * 2 + ["undecided"], 1):
+        at = {"object": f"V{number:04d}", "time": "2026-01-01T00:00:00Z", "by": "kim", "latitude_deg": 0.001 * number}
+        append_verdict(tmp_path, Verdict(**at, longitude_deg=2.0, call=call, drawn=number in (1, 2)))  # type: ignore[arg-type]
+        places += [Place(f"C{number:05d}", 0.001 * number, 2.0)] if number in (1, 3, 5, 7) else []
+    judged = count_judged(read_verdicts(tmp_path), places)
+    assert judged == (2, 1, 1, 2, 1), "only contacts have odds, also one that was drawn before a replay found it"
+    assert "1 of 3 missions judged, 2 of 20 mine-like, 1 of 40 not mine-like" in evidence_words([judged])
     assert evidence_words([judged._replace(mine_like=7, not_mine_like=14)] * 3).startswith("enough to correct")

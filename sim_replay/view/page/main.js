@@ -60,8 +60,8 @@ function setFollow(on) {
 async function poll() {
   try {
     const now = await get("api/state"), before = state;
-    state = now;
     if (before.generation !== undefined && now.generation !== before.generation) return location.reload();
+    state = now;
     byId("replay-again").hidden = !now.replay_again;
     byId("name").textContent = document.title = now.name;
     byId("live").hidden = !now.live;
@@ -198,10 +198,12 @@ function goTo(row, across) {
 }
 
 async function judge(judgement) {
+  const chosen = selected;
   try {
     if (wanted && judgement.contact_id === wanted && !await ask(`The waterfall does not show ${wanted} yet. Judge it all the same?`)) return;
-    const verdict = await post("api/verdicts", judgement);
+    const verdict = await post("api/verdicts", {...judgement, generation: state.generation});
     await loadContacts();
+    if (selected !== chosen) return; // another one was chosen meanwhile: it stays so
     if (!judgement.contact_id && !verdict.withdrawn) await select(find(verdict.object) ? verdict.object : selected);
     else if (!find(selected)) await select(null);
     else await loadDetails(selected);

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import threading
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 
@@ -12,7 +13,7 @@ import pytest
 
 from auv_mcm.records import SIDES
 from sim_replay.benches.browser import BrowserPage, browser_page, find_browser
-from sim_replay.verdicts import read_verdicts
+from sim_replay.verdicts import Verdict, read_verdicts
 from sim_replay.view.chart import Chart
 from sim_replay.view.mission import Judgement, ShownMission
 from sim_replay.view.server import MissionServer
@@ -275,5 +276,52 @@ def test_what_was_drawn_has_the_time_it_was_judged_at(tmp_path: Path) -> None:
         box = "document.querySelector('#card').getBoundingClientRect()"
         await page.wait_for(f"!document.querySelector('#card').hidden && {box}.top >= 0 && {box}.top < 600")
         assert await page.evaluate("document.querySelector('header').getBoundingClientRect().height") < 80
+
+    in_browser(mission, visit)
+
+
+def test_a_late_answer_takes_nobody_back_to_the_object_judged_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mission = shown(write_results(tmp_path, [feature(1, OBJECT_ROW, OBJECT_M)]), sea_floor())
+    mission.judge(Judgement(row=20.0, across_m=-8.0, call="mine_like"))
+    judge, may_answer = mission.judge, threading.Event()
+
+    def judge_late(judgement: Judgement) -> Verdict:
+        verdict = judge(judgement)
+        may_answer.wait(60.0)
+        return verdict
+
+    monkeypatch.setattr(mission, "judge", judge_late)
+
+    async def visit(page: BrowserPage) -> None:
+        await page.wait_for("bench.contacts.length === 2")
+        await page.press("k")
+        await page.press("j")
+        await page.wait_for("bench.selected === 'V0001'")
+        await page.press("u")
+        await page.press("k")
+        await page.wait_for("bench.selected === 'C00001'")
+        may_answer.set()
+        await page.wait_for("bench.contacts.some((one) => one.call === 'undecided')")
+        await page.press("n")
+        await page.wait_for("bench.contacts.find((one) => one.id === 'C00001').call === 'not_mine_like'")
+        assert [one.object for one in read_verdicts(tmp_path)] == ["V0001", "V0001", "V0002"]
+
+    in_browser(mission, visit)
+
+
+def test_what_was_begun_about_a_contact_goes_to_no_other_of_its_id_after_a_replay(tmp_path: Path) -> None:
+    store = sea_floor()
+    mission = shown(write_results(tmp_path, [feature(1, OBJECT_ROW, OBJECT_M)]), store)
+
+    async def visit(page: BrowserPage) -> None:
+        await page.press("j")
+        await page.wait_for("bench.selected === 'C00001' && document.querySelector('#comment') !== null")
+        await page.press("c")
+        await page.write("a mine")
+        write_results(tmp_path, [feature(1, 400.0, -10.0), feature(2, OBJECT_ROW, OBJECT_M)])
+        await page.wait_for("window.bench && bench.contacts.length === 2")
+        assert await page.evaluate("bench.selected") is None
 
     in_browser(mission, visit)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import msgspec
@@ -17,7 +18,9 @@ from auv_mcm.records import SIDES
 from auv_mcm.shell.health.files import HEALTH
 from sim_replay.replay import replay
 from sim_replay.verdicts import VERDICTS_FILE, newest_verdicts, read_verdicts
-from sim_replay.view.mission import Judgement
+from sim_replay.view.background_replay import BackgroundReplay
+from sim_replay.view.mission import Judgement, ReplayAgain, ShownMission
+from sim_replay.view.mission_feed import MissionFeed
 from sim_replay.view.places import WaterfallPoint
 from sim_replay.view.show import named_logs, open_shown
 from sim_replay.view.waterfall_store import WaterfallStore
@@ -100,6 +103,94 @@ def test_verdicts_given_on_two_pages_of_one_folder_all_count(tmp_path: Path) -> 
     second.judge(Judgement(contact_id="C00002", call="not_mine_like"))
     assert set(newest_verdicts(read_verdicts(tmp_path))) == {"V0001", "V0002"}
     assert set(second.contacts()["verdicts"]) == {"C00001", "C00002"}
+
+
+def test_an_object_drawn_beside_a_contact_does_not_become_that_contact(tmp_path: Path) -> None:
+    mission = shown(write_results(tmp_path, [feature(1, 100.0, 20.0)]))
+    mine = Judgement(row=110.0, across_m=20.0, call="mine_like")  # 1.2 m beside what is a rock
+    with pytest.raises(UsageError, match="judge C00001 first"):
+        mission.judge(mine)
+    mission.judge(Judgement(contact_id="C00001", call="not_mine_like"))
+    assert mission.judge(mine).object == "V0002"
+    mission.judge(Judgement(contact_id="C00001", call="not_mine_like", comment="a rock"))
+    found = mission.contacts()
+    assert found["verdicts"]["C00001"]["call"] == "not_mine_like"
+    assert [(one["object"], one["call"], one["drawn"]) for one in found["drawn"]] == [("V0002", "mine_like", True)]
+
+
+def test_a_verdict_of_a_page_that_shows_results_of_before_goes_to_no_contact_of_their_ids(tmp_path: Path) -> None:
+    mission = shown(write_results(tmp_path, [feature(1, 100.0), feature(2, 300.0)]))
+    before = mission.state()["generation"]
+    mission.judge(Judgement(contact_id="C00001", generation=before))
+    write_results(tmp_path, [feature(1, 300.0), feature(2, 500.0), feature(3, 100.0)])  # as another replay leaves them
+    mission.refresh()
+    assert mission.state()["generation"] == before + 1
+    with pytest.raises(UsageError, match="replayed meanwhile"):
+        mission.judge(Judgement(contact_id="C00002", call="mine_like", generation=before))
+    assert mission.judge(Judgement(contact_id="C00002", generation=before + 1)).object == "V0002"
+
+
+def test_contacts_of_a_replay_on_another_page_are_not_mixed_with_those_before(tmp_path: Path) -> None:
+    mission = shown(write_results(tmp_path, [feature(1, 100.0), feature(2, 300.0)]))
+    (tmp_path / "contacts.geojson").unlink()
+    (tmp_path / "contacts.jsonl").write_text(json.dumps({"contact": feature(1, 500.0)}) + "\n")
+    mission.refresh()
+    assert (mission.contacts()["id"], mission.state()["generation"]) == (["C00001"], 1)
+    (tmp_path / "contacts.jsonl").unlink()
+    write_results(tmp_path, [feature(1, 500.0)])
+    mission.refresh()
+    assert (mission.contacts()["id"], mission.state()["generation"]) == (["C00001"], 1)
+
+
+def test_verdicts_of_before_another_replay_from_the_page_go_to_no_contact_of_their_ids(tmp_path: Path) -> None:
+    class Replay(BackgroundReplay):
+        is_running = False
+
+        def start(self) -> None:
+            write_results(tmp_path, [feature(1, 300.0), feature(2, 100.0)])
+
+    mission = shown(write_results(tmp_path, [feature(1, 100.0)]))
+    again = ReplayAgain(MissionFeed(filled_store(), lambda stop: None), Replay([], tmp_path, CONFIG))
+    mission = ShownMission(tmp_path, mission.feed, by="kim", is_live=False, again=lambda: again)
+    mission.refresh()
+    mission.judge(Judgement(contact_id="C00001", call="mine_like"))
+    assert list(mission.contacts()["verdicts"]) == ["C00001"]
+    mission.refresh()
+    mission.contacts()
+    mission.replay_again()
+    mission.refresh()
+    assert list(mission.contacts()["verdicts"]) == ["C00002"]
+
+
+def test_a_verdict_given_on_another_page_is_shown_without_judging_here(tmp_path: Path) -> None:
+    first = shown(write_results(tmp_path, [feature(1)]), by="kim")
+    shown(tmp_path, by="lee").judge(Judgement(contact_id="C00001", call="not_mine_like"))
+    before = first.state()["verdicts_version"]
+    first.refresh()
+    assert first.state()["verdicts_version"] != before
+    assert first.contacts()["verdicts"]["C00001"]["by"] == "lee"
+
+
+def test_pages_of_several_processes_never_give_two_objects_one_name(tmp_path: Path) -> None:
+    write_results(tmp_path, [feature(number, 20.0 * number) for number in range(1, 41)])
+    pages = [shown(tmp_path, by=by) for by in ("kim", "lee", "max", "noa")]
+
+    def judge(page: int) -> None:
+        for number in range(page + 1, 41, 4):
+            pages[page].judge(Judgement(contact_id=f"C{number:05d}"))
+
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(judge, range(4)))
+    assert len(newest_verdicts(read_verdicts(tmp_path))) == 40
+
+
+def test_the_count_of_verdicts_is_that_of_contacts_as_the_odds_are_corrected_by_them(tmp_path: Path) -> None:
+    mission = shown(write_results(tmp_path, [feature(1), feature(2, 300.0)]))
+    for name in ("C00001", "C00002"):
+        mission.judge(Judgement(contact_id=name, call="mine_like"))
+    write_results(tmp_path, [feature(1)])
+    mission.refresh()
+    assert mission.state()["judged"].startswith("judged 1 mine-like, 0 not")
 
 
 def test_a_withdrawn_verdict_is_gone_from_the_list_and_kept_in_the_file(tmp_path: Path) -> None:
