@@ -146,9 +146,10 @@ def open_shown(folder: Path, logs: list[Path], config: Config | None, by: str) -
         opens = lambda stop: _open_replayed(folder, config)  # noqa: E731
 
     def again() -> ReplayAgain:
-        assert summary is not None
-        used = config or summary_config(summary, folder)
-        return ReplayAgain(_feed(opens), BackgroundReplay(logs or named_logs(summary, folder), folder, used))
+        last = read_summary(folder) or summary  # of the last replay, which this one removes
+        assert last is not None
+        used, named = config or summary_config(last, folder), logs or named_logs(last, folder)
+        return ReplayAgain(_feed(lambda stop: open_logs(named, used)), BackgroundReplay(named, folder, used))
 
     is_whole = summary is not None and not recordings
     is_early = summary is None and not recordings and not logs

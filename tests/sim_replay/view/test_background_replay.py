@@ -14,13 +14,13 @@ from msgspec.structs import replace as replaced
 
 from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.records import Ping
-from auv_mcm.settings.config import Config
+from auv_mcm.settings.config import Config, parse_config
 from sim_replay.logs.xtf_writer import write_xtf
 from sim_replay.replay import replay
 from sim_replay.simulator.mission import Mission
 from sim_replay.view.mission import ShownMission
 from sim_replay.view.mission_feed import open_logs
-from sim_replay.view.show import is_shown, logs_named, open_new, show
+from sim_replay.view.show import is_shown, logs_named, open_new, open_shown, show
 from tests.sim_replay.test_replay import content, scene
 
 
@@ -155,4 +155,25 @@ def test_a_bottom_line_is_not_kept_for_one_of_two_logs_of_the_same_time(
     stop = mission.state()["stop_row"]
     with pytest.raises(UsageError, match="lies in several logs"):
         mission.correct_bottom([[(stop - 60.0, 3.0), (stop - 20.0, 3.5)]])
+    mission.feed.close()
+
+
+def test_results_replayed_again_from_the_page_keep_their_waterfall_and_the_last_configuration(
+    log: Path, tmp_path: Path
+) -> None:
+    replay([log], tmp_path, Config())
+    mission = open_shown(tmp_path, [], None, "kim")
+    mission.feed.join()
+    pings = mission.state()["pings"]
+    replay([log], tmp_path, parse_config("contacts: {min_p_mine: 0.005}", "later"))  # meanwhile, elsewhere
+    mission.refresh()
+    mission.replay_again()
+    assert mission.replay is not None
+    mission.replay.join()
+    mission.feed.join()
+    mission.refresh()
+    state = mission.state()
+    assert (state["problem"], state["pings"], state["replay_done"], state["generation"]) == ("", pings, True, 2)
+    summary = json.loads((tmp_path / "summary.json").read_bytes())
+    assert summary["config"]["contacts"]["min_p_mine"] == 0.005
     mission.feed.close()
