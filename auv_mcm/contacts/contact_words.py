@@ -46,6 +46,8 @@ HALF_SEEN: Final = frozenset(
     }
 )
 """Codes which deny that there is an echo with a shadow behind it."""
+_NOT_TRACED: Final = frozenset({"no_highlight", "no_shadow"})
+"""Codes of confirmation as well, which may find no outline of what the detector measured."""
 _OF_SHAPE: Final = frozenset(
     {
         *("clutter", "too_large", "too_small", "too_long", "too_short", "too_low", "too_high", "implausible_height"),
@@ -234,6 +236,8 @@ def _reasons(p_mine: float, kind: str, codes: Sequence[str]) -> tuple[str, str]:
     is_half_seen = not HALF_SEEN.isdisjoint(codes)
     chosen_for = [code for code in codes if bearing(code) == "for" and not is_half_seen]
     reason_against = _phrase(against[0]) if against else ""
+    if against and against[0] in _NOT_TRACED and "highlight_and_shadow" in codes:
+        reason_against = "echo and shadow hardly stand out from the sea floor around them"
     reason_for = f"echo and shadow fit a {plain_kind(kind)}" if kind and not is_half_seen else ""
     reason_for = reason_for or (_phrase(chosen_for[0]) if chosen_for else "")
     if p_mine >= RATHER_A_MINE_P and not reason_for:

@@ -330,13 +330,17 @@ def _number(value: float, digits: int) -> str:
     return f"{value:.{digits}f}" if math.isfinite(value) else ""
 
 
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.0f} %"
+
+
 def _searched(searched: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     """List figures of the search: value, name, detail."""
     if not searched:
         return []
     left, at_p, missed = searched["mines_left"], searched["km2_at_p"], 1.0 - searched["p_detected_mean"]
     return [
-        (f"{missed:.0%}", "of mines missed", "by the tables for such sea floor and ranges, on average"),
+        (_percent(missed), "of mines missed", "by the tables for such sea floor and ranges, on average"),
         (words.area(1e6 * at_p["0.9"]), "missed with 10 % or less", f"of {words.area(1e6 * searched['km2'])} seen"),
         (f"{left['expected']:.1f}", "mines left, expected", f"no more than {left['at_most_95']} with 95 %"),
     ]
@@ -349,12 +353,12 @@ def _mines_left(searched: Mapping[str, Any]) -> str:
     left = searched["mines_left"]
     own = ""
     if "mine_share" in left:  # results of older versions lack it
-        own = f"; of this mission's own contacts {left['mine_share']:.0%} are, by which the chances are weighed"
+        own = f"; of this mission's own contacts {_percent(left['mine_share'])} are, by which the chances are weighed"
     return (
         f"Mine-like contacts stand for {searched['mines_found']:.1f} mines found; mines left are those among the "
         f"{left['among_contacts']} contacts that are not mine-like: their chances add up to {left['p_mine_sum']:.1f}. "
-        f"They presume that {PRIOR_SHARE:.0%} of contacts are mines{own}. A little is added for mines that make no "
-        "contact at all; on floors unlike those of simulated missions these can be many."
+        f"They presume that {_percent(PRIOR_SHARE)} of contacts are mines{own}. A little is added for mines that make "
+        "no contact at all; on floors unlike those of simulated missions these can be many."
     )
 
 

@@ -327,7 +327,7 @@ def test_the_page_says_where_the_number_of_mines_left_comes_from() -> None:
     text = Page(full_page(mission=mission(searched=searched, clearance_png=b"picture"))).text
     assert "6.2" in text
     assert "of mines missed" in text
-    assert "presume that 20% of contacts are mines; of this mission's own contacts 12% are" in text
+    assert "presume that 20 % of contacts are mines; of this mission's own contacts 12 % are" in text
     assert "no more than 13 with 95 %" in text
     assert "412 contacts that are not mine-like: their chances add up to 9.4" in text
     assert "Mine-like contacts stand for 5.8 mines found" in text

@@ -81,6 +81,13 @@ def test_a_code_of_one_view_in_three_gives_no_reason() -> None:
     assert (found.reason_for, found.reason_against) == ("a bright echo with a shadow right behind it", "")
 
 
+@pytest.mark.parametrize("lost", [("no_shadow",), ("no_highlight",), ("no_shadow", "no_highlight")])
+def test_what_has_echo_and_shadow_is_not_said_to_lack_one(lost: tuple[str, ...]) -> None:
+    found = said(belief={"unknown": 1.0}, view_reasons=[("highlight_and_shadow", *lost)])
+    assert found.reason_against == "echo and shadow hardly stand out from the sea floor around them"
+    assert said(belief={"unknown": 1.0}, view_reasons=[lost[:1]]).reason_against != found.reason_against
+
+
 def test_a_kind_that_is_named_overrules_reasons_of_shape_alone() -> None:
     views = [("too_long", "no_shadow")]
     assert said(view_reasons=views).reason_against == said(view_reasons=[("no_shadow",)]).reason_against != ""
