@@ -3,30 +3,44 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
 import json
 import os
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from auv_mcm.safe_files import open_for_append, open_for_update, open_regular, sync_directory
-from auv_mcm.shell.whole_files import finite
+from auv_mcm.shell.whole_files import TAKES_NOTHING, finite
 
 
 class Journal:
     """Append lines of JSON, on disk when `append` returns.
 
-    The file is locked as long as the process lives; see `is_in_use`.
+    The file is locked as long as the process lives; see `is_in_use`. On a disk that takes nothing it is opened by the
+    first append that finds room.
     """
 
     def __init__(self, path: Path) -> None:
-        self._file = open_for_append(path)
+        self._path = path
+        self._file: BinaryIO | None = None
+        self._whole_bytes = 0
+        self._owed = b""  # lines that a failed append could not write
+        try:
+            self._open()
+        except OSError as error:
+            if error.errno not in TAKES_NOTHING:
+                raise
+
+    def _open(self) -> BinaryIO:
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        self._file = open_for_append(self._path)
         with contextlib.suppress(OSError):  # not every file system has locks
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         self._whole_bytes = self._file.seek(0, os.SEEK_END)  # the file ends in a whole line here
-        self._owed = b""  # lines that a failed append could not write
-        sync_directory(path.parent)
+        sync_directory(self._path.parent)
+        return self._file
 
     @staticmethod
     def is_in_use(path: Path) -> bool:
@@ -42,10 +56,17 @@ class Journal:
 
     @staticmethod
     def cut_torn_line(path: Path) -> None:
-        """Cut off what a kill or a power cut left of a last line, which was never announced. Raises OSError."""
+        """Cut off what a kill or a power cut left of a last line, which was never announced. Raises OSError.
+
+        A disk that can only be read keeps it.
+        """
         if path.exists():
-            with open_for_update(path) as file:
-                file.truncate(file.read().rfind(b"\n") + 1)
+            try:
+                with open_for_update(path) as file:
+                    file.truncate(file.read().rfind(b"\n") + 1)
+            except OSError as error:
+                if error.errno != errno.EROFS:
+                    raise
 
     def append(self, records: Iterable[Any]) -> None:
         """Append records. Raises OSError, as on a full disk.
@@ -64,19 +85,23 @@ class Journal:
         try:
             self._write_owed()
         finally:
-            self._file.close()
+            if self._file is not None:
+                self._file.close()
 
     def _write_owed(self) -> None:
         if not self._owed:
             return
+        if self._file is None:
+            self.cut_torn_line(self._path)
+        file = self._file or self._open()
         try:
             written = 0
             while written < len(self._owed):
-                written += self._file.write(self._owed[written:]) or 0
-            os.fsync(self._file.fileno())
+                written += file.write(self._owed[written:]) or 0
+            os.fsync(file.fileno())
         except OSError:
             with contextlib.suppress(OSError):
-                self._file.truncate(self._whole_bytes)
+                file.truncate(self._whole_bytes)
             raise
         self._whole_bytes += len(self._owed)
         self._owed = b""

@@ -461,7 +461,7 @@ class Service:
             vehicle=None if link is None else link.measured(),
             service=measure_process(os.getpid()),
             perception=measure_process(perception_process()),
-            computer=await asyncio.to_thread(measure_computer, self._folder),
+            computer=await asyncio.to_thread(measure_computer, self._folder.parent),
         )
 
     def _write(self) -> HardwareError | None:

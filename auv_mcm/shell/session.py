@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 from collections import Counter
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import msgspec
 
@@ -26,6 +27,8 @@ from auv_mcm.shell.recovery import (
     unfinished_session,
 )
 from auv_mcm.shell.whole_files import make_directory
+
+_FULL: Final = (errno.ENOSPC, errno.EDQUOT)  # errors of a full disk
 
 
 class Session(NamedTuple):
@@ -72,7 +75,9 @@ def open_session(parent: Path, config: Config, clock: Clock, *, may_resume: bool
     may_resume
         Go on with a session where the configuration allows it.
 
-    Raises UsageError for a folder that holds sessions of a thousand seconds from now on, and OSError.
+    A session that may be resumed goes on without its folder while the disk is full; the folder is made with the first
+    file that the disk takes. Raises UsageError for a folder that holds sessions of a thousand seconds from now on, and
+    OSError.
     """
     kind, now_s = session_kind(config), clock.utc_s()
     within_h = config.service.resume_within_h if may_resume else 0.0
@@ -84,9 +89,16 @@ def open_session(parent: Path, config: Config, clock: Clock, *, may_resume: bool
             remove_unfinished(found.folder)
         return Session(found.folder, memory, read_announced(found.folder), (notice,))
     unfinished = found or unfinished_session(parent)
-    folder, began_s = _new_folder(parent, now_s)
+    notices: tuple[Notice, ...] = () if unfinished is None else (unfinished,)
+    try:
+        folder, began_s = _new_folder(parent, now_s)
+    except OSError as error:
+        if not may_resume or error.errno not in _FULL:
+            raise
+        folder, began_s = _folder_of(parent, now_s), now_s
+        notices += (_no_room(folder),)
     memory = SessionMemory(kind=kind, started_s=began_s, n_starts=1, elapsed_s=0.0)
-    return Session(folder, memory, Announced(frozenset(), {}, {}), () if unfinished is None else (unfinished,))
+    return Session(folder, memory, Announced(frozenset(), {}, {}), notices)
 
 
 def _resumed(folder: Path, n_starts: int) -> Notice:
@@ -97,15 +109,33 @@ def _resumed(folder: Path, n_starts: int) -> Notice:
     return Notice(code="session_resumed", text=text, for_the_record=True)
 
 
+def _no_room(folder: Path) -> Notice:
+    text = (
+        f"the disk is full: {folder} cannot be made. The mission goes on, and contacts are announced; nothing of it is "
+        "on disk, and a restart begins with new numbers. Make room: results and recording are written as soon as there "
+        "is some."
+    )
+    return Notice(code="session_not_kept", text=text)
+
+
+def _folder_of(parent: Path, began_s: float) -> Path:
+    return parent / datetime.fromtimestamp(began_s, UTC).strftime(f"{SESSION}%Y%m%dT%H%M%SZ")
+
+
 def _new_folder(parent: Path, now_s: float) -> tuple[Path, float]:
     """Make a new folder per run, so that a restart never overwrites earlier results; `latest` points to it.
 
     Return also the time in its name: a clock that nobody sets and that begins again with the computer names no two
     sessions alike.
     """
-    make_directory(parent)
+    try:
+        make_directory(parent)
+    except UsageError as error:
+        if isinstance(full := error.__cause__, OSError) and full.errno in _FULL:
+            raise full from None  # no other configuration helps, but room does
+        raise
     for began_s in (now_s + second for second in range(1000)):
-        folder = parent / datetime.fromtimestamp(began_s, UTC).strftime(f"{SESSION}%Y%m%dT%H%M%SZ")
+        folder = _folder_of(parent, began_s)
         try:
             folder.mkdir()
         except FileExistsError:

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import math
 import tempfile
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from auv_mcm.clean_text import clean_json
 from auv_mcm.errors import UsageError
 from auv_mcm.safe_files import replacing
+
+TAKES_NOTHING: Final = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
+"""Errors of a disk that is full or can only be read: a mission goes on without it."""
 
 
 def write_file(path: Path, data: bytes, *, durable: bool = True) -> None:

@@ -54,8 +54,8 @@ class SessionRecorder:
         file_bytes, reserve_bytes: as of `SessionWriter`; queue_bytes: memory for what the disk has not taken yet.
         retry_s: after which a disk that failed is tried again, twice as long each time.
 
-        A full disk raises a notice. Raises UsageError for a folder that cannot be written to or holds a session
-        already.
+        A disk that is full or can only be read raises a notice. Raises UsageError for a folder that cannot be written
+        to or holds a session already.
         """
         self._queue_bytes = queue_bytes
         self._retry_s = retry_s
@@ -88,7 +88,7 @@ class SessionRecorder:
                 f"{folder} already holds a recorded session. Record each session into a folder of its own."
             ) from error
         except OSError as error:
-            if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+            if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EROFS):
                 raise UsageError(
                     f"cannot record into {folder}: {error}. Check the path and its permissions."
                 ) from error

@@ -36,14 +36,16 @@ def events(first: int, stop: int) -> list[SourceEvent]:
     return [event for number in range(first, stop) for event in (fake.navigation(number), fake.ping(number))]
 
 
-def serve(folder: Path, given: Sequence[SourceEvent], *, mission: str = "") -> Run:
+def serve(
+    folder: Path, given: Sequence[SourceEvent], *, mission: str = "", say: Callable[[str], None] | None = None
+) -> Run:
     """Serve given events and end in order once they are with perception."""
     said: list[str] = []
 
     async def run() -> Path:
         source = Ports(given)
         config = Config(mission=mission, service=ServiceConfig(output_directory=str(folder), stop_within_s=60.0))
-        service = Service(config, source, console=said.append, make_pipeline=fake.Base)
+        service = Service(config, source, console=say or said.append, make_pipeline=fake.Base)
         asyncio.get_running_loop().call_later(0.3, service.stop)
         return await service.run()
 
@@ -161,6 +163,50 @@ def test_a_link_that_does_not_get_its_name_leaves_nothing_behind(
     monkeypatch.setattr("auv_mcm.shell.latest_session.os.replace", full)
     session = open_session(tmp_path, Config(), ManualClock(), may_resume=False)
     assert list(tmp_path.iterdir()) == [session.folder]
+
+
+def take_nothing(disk: pytest.MonkeyPatch, folder: Path, number: int) -> None:
+    """Have the disk of a folder refuse new folders, and files to be written."""
+    error = OSError(number, os.strerror(number))
+
+    def mkdir(path: Path, *mode: int) -> None:
+        raise error
+
+    def open_(path: str | Path, flags: int, *rest: int, really: Callable[..., int] = os.open, **of: int | None) -> int:
+        if flags & (os.O_WRONLY | os.O_RDWR) and str(path).startswith(str(folder)):
+            raise error
+        return really(path, flags, *rest, **of)
+
+    disk.setattr("os.mkdir", mkdir)
+    disk.setattr("os.open", open_)
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EROFS])
+def test_a_session_goes_on_while_its_disk_takes_nothing_and_has_all_its_results_once_it_does(
+    number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Cut off before, or, on a full disk, a new one."""
+    said: list[str] = []
+    is_cut_off = number == errno.EROFS
+    if is_cut_off:
+        with (cut_off(tmp_path, events(0, 12), "C0006") / "contacts.jsonl").open("ab") as file:
+            file.write(b'{"time":"2026-')
+    with monkeypatch.context() as disk:
+
+        def say(line: str) -> None:
+            said.append(line)
+            if "C0018" in line:
+                disk.undo()
+
+        take_nothing(disk, tmp_path, number)
+        after = serve(tmp_path, events(12 if is_cut_off else 0, 24), say=say)
+    assert ids(after.folder) == journal(after.folder) == EXPECTED
+    assert len(list(tmp_path.glob("session-*"))) == 1
+    counters = summary(after.folder)["counters"]
+    assert counters["service.journal_failed"] > 0
+    assert counters["service.not_spooled"] > 0
+    assert any("session_stopped" in line for line in said), "the recording"
+    assert is_cut_off or said[0].startswith("notice session_not_kept: ")
 
 
 def test_contacts_whose_events_are_lost_keep_their_numbers_to_themselves(tmp_path: Path) -> None:
