@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import combinations
 from typing import Annotated, Final
 
 import msgspec
@@ -47,14 +48,15 @@ class PlanConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
             raise ValueError("plan: area_deg needs at least three corners [latitude, longitude]")
         if not all(math.isfinite(value) for corner in self.area_deg for value in corner):
             raise ValueError("plan: area_deg holds a corner that is not a finite number")
-        east_m, north_m = zip(*about_first(self.area_deg, self.area_deg[0]), strict=True)
+        corners_m = about_first(self.area_deg, self.area_deg[0])
+        east_m, north_m = zip(*corners_m, strict=True)
         if max(map(math.hypot, east_m, north_m)) > _FARTHEST_CORNER_M:
             raise ValueError(
                 f"plan: area_deg has corners more than {_FARTHEST_CORNER_M / 1e3:g} km apart; give the area of one "
                 "mission"
             )
         twice_m2 = sum(east_m[n - 1] * north_m[n] - east_m[n] * north_m[n - 1] for n in range(len(east_m)))
-        if abs(twice_m2) < 2.0:
+        if abs(twice_m2) < 2.0 or _crosses_itself(corners_m):
             raise ValueError("plan: area_deg encloses no area: give its corners in order, without crossing edges")
         n_cells = (max(east_m) - min(east_m)) * (max(north_m) - min(north_m)) / self.cell_m**2
         if n_cells > _MAX_CELLS:
@@ -62,6 +64,19 @@ class PlanConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
                 f"plan: area_deg spans {n_cells:.0f} cells of {self.cell_m:g} m, more than {_MAX_CELLS}: give a larger "
                 "cell_m"
             )
+
+
+def _crosses_itself(corners_m: list[tuple[float, float]]) -> bool:
+    """Check whether edges of a polygon cross, not merely touch: what it encloses is then not what was meant."""
+
+    def turn(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]) -> float:
+        return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+
+    edges = list(zip(corners_m, [*corners_m[1:], corners_m[0]], strict=True))
+    return any(
+        turn(a, b, c) * turn(a, b, d) < 0.0 and turn(c, d, a) * turn(c, d, b) < 0.0
+        for (a, b), (c, d) in combinations(edges, 2)
+    )
 
 
 def about_first(

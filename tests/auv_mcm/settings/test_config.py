@@ -105,6 +105,10 @@ GNSS = "{name: gnss, link: 'udp://h:1', device: nmea0183}"
             "plan: {area_deg: [[43, 5], [43, 5.001], [43, 5.002]]}",
             "area_deg encloses no area: give its corners in order",
         ),
+        (
+            "plan: {area_deg: [[43, 5], [43.004, 5.004], [43, 5.004], [43.002, 5]]}",
+            "give its corners in order, without crossing edges",
+        ),
         ("plan: {area_deg: [[43, 5], [44, 5], [44, 6]]}", "corners more than 50 km apart"),
         ("plan: {area_deg: [[43, 5], [43.1, 5], [43.1, 5.1]]}", "more than 1000000: give a larger cell_m"),
         ("plan: {area_deg: [[43, 5], [43.001, 5], [99, 5.001]]}", "<= 90.0 - at `plan.area_deg[2][0]`"),
