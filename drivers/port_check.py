@@ -32,6 +32,7 @@ LISTEN_S: Final = 4.0  # units send once a second and more, sonars ping every 2 
 _OPEN_S: Final = CONNECT_S + 1.0
 _ENOUGH_MESSAGES: Final = 3  # of a port, after which it counts as heard
 _KEPT_BYTES: Final = 1 << 16  # of what does not decode, to find out what it is
+_LONG_ARM_M: Final = 10.0  # chosen: longer than all but a few vehicles
 _PATIENCE_S: Final = 0.05  # s between looks at what came
 _ESTABLISHED: Final = "01"  # state of a connection in /proc/net/tcp
 _TCP_TABLES: Final = (Path("/proc/net/tcp"), Path("/proc/net/tcp6"))
@@ -46,6 +47,7 @@ def port_findings(config: Config, listen_s: float = LISTEN_S) -> Iterator[Findin
     yield from (Finding(f"port {notice.place}", "warning", notice.text) for notice in open_to_all(ports))
     yield from (Finding("sonar", "warning", notice.text) for notice in without_sonar(ports))
     yield from _beam_findings(ports, config.sonar)
+    yield from _arm_findings(ports, config.sonar)
 
     listeners = [_Listener(port, config.sonar, SystemClock()) for port in ports]
 
@@ -66,6 +68,15 @@ def _beam_findings(ports: Sequence[PortSettings], sonar: SonarConfig) -> Iterato
             f"sonar.beam_width_deg is empty, and {USUAL_BEAM_DEG:g} degrees are used: where the beam is wider, mines "
             "are missed and clearance promises too much. Set the two-way width, 0.7 of the data sheet's one-way width",
         )
+
+
+def _arm_findings(ports: Sequence[PortSettings], sonar: SonarConfig) -> Iterator[Finding]:
+    """Report lever arms longer than most vehicles: in centimetres, they shift every contact without a word."""
+    arms_m = {"sonar": sonar.lever_arm_m}
+    arms_m |= {f"port {port.name}": port.unit.lever_arm_m for port in ports if port.unit is not None}
+    for place, arm_m in arms_m.items():
+        if (longest_m := max(map(abs, arm_m))) > _LONG_ARM_M:
+            yield Finding(place, "warning", f"lever_arm_m reaches {longest_m:g} m: is it in metres, as it has to be?")
 
 
 def _position_findings(judged: Sequence[tuple[_Listener, Finding, PortSettings]]) -> Iterator[Finding]:

@@ -20,6 +20,7 @@ from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.plan.reinspect import Place, needs_second_look
 from auv_mcm.records import NAN, Contact, Notice, Waypoint
 from auv_mcm.settings.config import Config
+from auv_mcm.settings.plan_settings import about_first
 
 MAX_VAIN_LOOKS: Final = 2  # legs that brought no view, after which a contact is given up
 MAX_LOOKS: Final = 4  # legs flown for one contact: bounds what one contact may cost
@@ -32,6 +33,7 @@ _RUN_ALONG: Final = 1.0 / 3.0  # of a leg, minimum for it to count as flown: les
 _SURVEY_S: Final = 10.0  # between updates on the search of an area, while no leg is flown
 _SURVEY_AGAIN_S: Final = 60.0  # and while a leg is flown, or none can be
 _STEP_M: Final = 5.0  # in which track is measured, so that the noise of positions does not add up
+_FAR_M: Final = 5_000.0  # m; chosen: far for a way to the area, near for minutes taken for decimals of a degree
 _JUMP_M: Final = 100.0  # farther apart, two positions are not joined to a track
 _SAME_M: Final = 1.0  # m: ends of legs nearer than that are the same request
 _CODES: Final = {"done": "survey_done", "cannot": "survey_cannot", "not yet": "survey_waits"}
@@ -142,6 +144,7 @@ class LookAgain:
         self._on_leg: _Leg | None = None
         self._along_m = self._began_m = 0.0  # of the leg: so far, and where the vehicle came to it
         self._commanding = False
+        self._has_place = False  # the vehicle was seen
         self._begins_here = False  # the plan was made since the payload commands
         self._changed = False
         self._waiting = False  # for a plan
@@ -217,6 +220,7 @@ class LookAgain:
         time_s
             Mission time of the pose.
         """
+        self._check_bounds(pose)
         left_out = frozenset(contact_id for contact_id, looks in self._looks.items() if looks.is_left_out(now_s))
         due = (
             self._changed
@@ -235,6 +239,22 @@ class LookAgain:
         self._changed, self._waiting, self._requested_s, self._left_out = False, True, now_s, left_out
         self._n_requested = len(self._flown)
         return PlanRequest(*pose, left_out, self._sailed_m, tuple(self._flown), time_s)
+
+    def _check_bounds(self, pose: tuple[float, float, float]) -> None:
+        """Report, where the vehicle begins, bounds that are far away: no leg would be requested, in silence."""
+        corners_deg = self._config.vehicle.fence_deg or self._config.plan.area_deg
+        if self._has_place or not corners_deg or not all(map(math.isfinite, pose[:2])):
+            return
+        self._has_place = True
+        ways_m = zip(*about_first(corners_deg, pose[:2]), strict=True)  # to the corners, east and north
+        away_m = math.hypot(*(max(min(way_m), -max(way_m), 0.0) for way_m in ways_m))
+        if away_m > _FAR_M:
+            key = "vehicle.fence_deg" if self._config.vehicle.fence_deg else "plan.area_deg"
+            text = (
+                f"the vehicle is {away_m / 1e3:.0f} km from {key}, and no leg is requested before it comes there. "
+                "Are its corners [latitude, longitude] in decimal degrees, south and west negative?"
+            )
+            self._raise_once("bounds_far_away", text)
 
     def insist(self, now_s: float) -> tuple[Waypoint, ...] | None:
         """Propose without planning: the same plan while a leg outlasts it, () when all track is sailed."""

@@ -297,6 +297,16 @@ def test_a_person_is_asked_for_a_beam_that_is_not_stated(words: str, is_asked: b
     assert all("sonar.beam_width_deg is empty" in each.detail for each in asked)
 
 
+@pytest.mark.parametrize(("arm", "doubted"), [("[40, 0, -30]", ["sonar", "port ins"]), ("[0.4, 0, -0.3]", [])])
+def test_a_lever_arm_in_centimetres_is_doubted(arm: str, doubted: list[str], tmp_path: Path) -> None:
+    port = f"{{name: ins, link: 'serial://{tmp_path}/no?baud=115200', device: nmea0183}}"
+    mounted = port.replace("}", f", navigation: {{lever_arm_m: {arm}}}}}")
+    config = parse_config(f"{{sonar: {{lever_arm_m: {arm}}}, ports: [{mounted}]}}", "c.yaml")
+    found = [each for each in port_findings(config, LISTEN_S) if "is it in metres" in each.detail]
+    assert [each.name for each in found] == doubted
+    assert all(each.verdict == "warning" for each in found)
+
+
 def test_nobody_is_asked_for_the_beam_of_no_sonar(tmp_path: Path) -> None:
     ports = f"{{name: one, link: 'serial://{tmp_path}/no?baud=115200', device: nmea0183}}"
     found = port_findings(parse_config(f"ports: [{ports}]", "c.yaml"), LISTEN_S)

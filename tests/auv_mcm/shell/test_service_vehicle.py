@@ -297,6 +297,25 @@ def test_how_far_an_area_is_cleared_is_reported_to_the_vehicle_and_left_in_the_r
     assert ("plan", ()) not in ports.vehicle.reports
 
 
+@pytest.mark.parametrize(
+    ("fence_deg", "is_far"),
+    [
+        (((4.99, 42.99), (5.01, 42.99), (5.01, 43.01), (4.99, 43.01)), True),
+        (((42.9, 4.9), (42.9, 5.1), (43.1, 5.1), (43.1, 4.9)), False),
+    ],
+)
+def test_a_fence_with_longitude_before_latitude_is_reported_as_soon_as_the_vehicle_has_a_place(
+    fence_deg: tuple[tuple[float, float], ...], is_far: bool, tmp_path: Path
+) -> None:
+    ports = Ports()
+    vehicle = VehicleConfig(command=True, fence_deg=fence_deg)
+    results = serve(tmp_path, ports, lambda: "normal" in ports.vehicle.words(), vehicle=vehicle)
+    notices = json.loads((results / "summary.json").read_bytes())["notices"]
+    texts = [notice["text"] for notice in notices if notice["code"] == "bounds_far_away"]
+    assert len(texts) == is_far
+    assert all(" km from vehicle.fence_deg, " in text and "[latitude, longitude]" in text for text in texts)
+
+
 def test_no_request_goes_to_a_vehicle_that_is_out_of_reach(tmp_path: Path) -> None:
     ports = Ports()
     ports.vehicle.authority = "down"
