@@ -18,7 +18,11 @@ class AsciiDecoder(ABC):
 
     counters: NAME.messages, .bytes_skipped and .refused.REASON of the framer, .malformed (checksum right, fields
     impossible) and .ignored (kinds not known here).
+
+    of_payload: kinds of records that the payload alone sends; a wire that echoes them is no vehicle that speaks.
     """
+
+    of_payload: frozenset[type] = frozenset()
 
     def __init__(self, grammar: Grammar[str], table: Table, port: str) -> None:
         """port: name that fixes carry."""
@@ -47,7 +51,8 @@ class AsciiDecoder(ABC):
             self._own[f"{self._name}.ignored"] += 1
             return VehicleMessage(None, received)
         state = self._state(record, received)
-        return VehicleMessage(record, received, state, () if state is None else (fix_of(self._port, state),))
+        fixes = () if state is None else (fix_of(self._port, state),)
+        return VehicleMessage(record, received, state, fixes, of_vehicle=type(record) not in self.of_payload)
 
     @abstractmethod
     def _state(self, record: Any, received: Stamp) -> ReportedState | None:

@@ -11,12 +11,15 @@ from auv_mcm.settings.vehicle_settings import BluefinSettings
 from drivers.vehicle.bluefin_sentences import BluefinGrammar, BluefinPosition, BluefinVelocity, table_of
 from drivers.vehicle.decoders.ascii_decoder import AsciiDecoder, state_of
 from drivers.vehicle.dialect import ReportedState
+from drivers.vehicle.talkers.bluefin_talker import BluefinTalker
 
 _VELOCITY_VALID_NS: Final = 2_000_000_000  # velocities come about once a second, in sentences of their own
 
 
 class BluefinDecoder(AsciiDecoder):
     """Decode a Bluefin's sentences."""
+
+    of_payload = BluefinTalker.commanding | BluefinTalker.harmless
 
     def __init__(self, settings: BluefinSettings, port: str) -> None:
         super().__init__(BluefinGrammar(), table_of(settings), port)

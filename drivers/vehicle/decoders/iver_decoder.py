@@ -10,12 +10,15 @@ from auv_mcm.settings.vehicle_settings import IverSettings
 from drivers.vehicle.decoders.ascii_decoder import AsciiDecoder, state_of
 from drivers.vehicle.dialect import ReportedState
 from drivers.vehicle.iver_sentences import IverCompass, IverGrammar, IverState, table_of
+from drivers.vehicle.talkers.iver_talker import IverTalker
 
 _COMPASS_VALID_NS: Final = 2_000_000_000  # pitch and roll come in sentences of their own
 
 
 class IverDecoder(AsciiDecoder):
     """Decode an Iver's sentences."""
+
+    of_payload = IverTalker.commanding | IverTalker.harmless
 
     def __init__(self, settings: IverSettings, port: str) -> None:
         super().__init__(IverGrammar(), table_of(settings), port)

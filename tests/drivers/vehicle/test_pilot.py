@@ -11,7 +11,14 @@ import numpy as np
 import pytest
 
 from auv_mcm.records import Contact, Waypoint
-from auv_mcm.settings.vehicle_settings import CanSettings, ImcSettings, VehicleConfig
+from auv_mcm.settings.vehicle_settings import (
+    BluefinSettings,
+    CanSettings,
+    ImcSettings,
+    IverSettings,
+    ReconSettings,
+    VehicleConfig,
+)
 from drivers.links.can_frame import CanFrame
 from drivers.navigation import n2k_messages as n2k
 from drivers.navigation.corrections import moved, offset_m
@@ -436,6 +443,23 @@ def test_a_state_reported_in_pieces_is_one_state() -> None:
         sea.hear(ReportedState(whole.received, altitude_m=8.0))
         sea.tick()
     assert sea.pilot.authority == "granted"
+
+
+@pytest.mark.parametrize(
+    ("name", "given"), [("iver", IverSettings()), ("bluefin", BluefinSettings()), ("recon", ReconSettings())]
+)
+def test_a_wire_that_echoes_is_no_vehicle_that_speaks(name: str, given: Any) -> None:
+    decoder = decoder_of(name, given, "vehicle")
+    pilot = Pilot(talker_of(name, given, lambda _: 0), settings(), session=7)
+    pilot.connected(0.0)
+    pilot.report_health(PayloadHealth("normal", ""), 0.0)
+    n_echoed = 0
+    for second in range(1, 20):
+        for item in pilot.take_outgoing(second):
+            pilot.hear(decoder.feed(item, stamp(second)), stamp(second))
+            n_echoed += 1
+    assert n_echoed > 0
+    assert pilot.authority == "down"
 
 
 @pytest.mark.parametrize("name", ["vehicle_can", "imc"])
