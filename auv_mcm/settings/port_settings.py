@@ -228,6 +228,13 @@ def check_together(ports: tuple[PortConfig, ...]) -> None:
     for name in names:
         if names.count(name) > 1:
             raise ValueError(f"two ports are called '{name}': give each a name of its own")
+    at: dict[str, str] = {}
+    for port in ports:
+        kind, _, place = port.link.partition("?")[0].partition("://")
+        if kind in ("serial", "slcan") and (other := at.setdefault(place, port.name)) != port.name:
+            raise ValueError(
+                f"the ports {other} and {port.name} are both at {place}, which one of them alone can open: correct one"
+            )
     vehicles = [port.name for port in ports if device_kind(port.device) == "vehicle"]
     if len(vehicles) > 1:
         raise ValueError(

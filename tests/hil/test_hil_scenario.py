@@ -149,12 +149,12 @@ def test_shipped_scenarios_are_sound_short_and_state_their_expectations(name: st
     ends = yaml.safe_load((SCENARIOS / f"{name}.yaml").read_text("utf-8"))["expectations"][0]["expected"]
     assert ends == ({"is": "exit_code"} if scenario.kill is None else {"is": "exit_code", "code": -9})
     links = {
-        "serial": "serial:///dev/p?baud=9600",
-        "slcan": "slcan:///dev/p?bitrate=250000",
+        "serial": "serial:///dev/{name}?baud=9600",
+        "slcan": "slcan:///dev/{name}?bitrate=250000",
         "tcp": "tcp://a:1",
         "udp": "udp://a:1",
     }
-    uris = {device: links[device_job.link] for device, device_job in scenario.devices.items()}
+    uris = {device: links[device_job.link].format(name=device) for device, device_job in scenario.devices.items()}
     assert len(read_ports(service_config(scenario, uris, name))) == len(scenario.devices)
 
 

@@ -128,6 +128,10 @@ GNSS = "{name: gnss, link: 'udp://h:1', device: nmea0183}"
             "ports: [{name: v, link: 'udp://h:1', device: imc}, {name: w, link: 'udp://h:2', device: iver}]",
             "the ports v and w are both a vehicle's",
         ),
+        (
+            "ports: [{name: v, link: 'serial:///a?baud=9', device: pd6}, {name: w, link: 'slcan:///a', device: pd6}]",
+            "the ports v and w are both at /a, which one of them alone can open: correct one",
+        ),
         ("- 1", "sections"),
         ("mission", "sections"),
         ("1: 2", "str"),
