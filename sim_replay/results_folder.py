@@ -45,7 +45,7 @@ def default_results(logs: Sequence[Path], parent: Path = Path()) -> Path:
 
 @contextmanager
 def kept_alone(folder: Path, *, waits: bool = False) -> Iterator[None]:
-    """Keep other replays out of a folder of results while one writes it.
+    """Keep other runs out of a folder of results while one writes it.
 
     waits: until another has ended. Raises UsageError otherwise.
     """
@@ -56,7 +56,7 @@ def kept_alone(folder: Path, *, waits: bool = False) -> Iterator[None]:
                 fcntl.flock(held, fcntl.LOCK_EX if waits else fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError as error:
                 raise UsageError(
-                    f"another replay writes to {folder}. Wait for it, stop it, or name another folder."
+                    f"another run writes to {folder}. Wait for it, stop it, or name another folder."
                 ) from error
         yield
     finally:

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections import Counter
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from auv_mcm.commands import Commands, add_json_option, answer, command
 from auv_mcm.commands.tables import show_table
 from auv_mcm.errors import SelfCheckError, UsageError
+
+if TYPE_CHECKING:
+    from sim_replay.hil.scenario import Read
 
 
 def add(commands: Commands) -> None:
@@ -64,35 +69,44 @@ def _run(arguments: argparse.Namespace) -> int:
     if not names:
         raise UsageError("a SCENARIO is needed; 'auv-mcm hil --list' shows those that ship with the package")
 
-    from auv_mcm.shell.whole_files import write_file, write_json
-    from sim_replay.hil.run import run_scenario  # needs the bench extra, which a list does not
-    from sim_replay.hil.verdict import as_junit, judge, table_rows
-
     failed = []
-    for read in [read_scenario(name) for name in names]:
+    reads = [read_scenario(name) for name in names]
+    if twice := [name for name, n in Counter(read.name for read in reads).items() if n > 1]:
+        raise UsageError(f"'{twice[0]}' is given twice, and each writes to {arguments.out / twice[0]}: rename a file")
+    for read in reads:
         folder = arguments.out / read.name
         if not arguments.json:
             print(f"{read.name}: {read.scenario.about}")
-        _say(f"{read.scenario.run_s:g} s of mission")
+        passed = _passed(read, folder, as_json=arguments.json)
+        if not all(passed):
+            failed.append(f"{read.name} ({passed.count(False)} of {len(passed)}; see {folder})")
+    if failed:
+        raise SelfCheckError(f"expectations were not met: {', '.join(failed)}")
+    return 0
+
+
+def _passed(read: Read, folder: Path, *, as_json: bool) -> list[bool]:
+    """Run a scenario and answer with its verdicts; return which passed."""
+    from auv_mcm.shell.whole_files import make_directory, write_file, write_json
+    from sim_replay.hil.run import JUNIT, VERDICT, run_scenario  # needs the bench extra, which a list does not
+    from sim_replay.hil.verdict import as_junit, judged, table_rows
+    from sim_replay.results_folder import kept_alone
+
+    _say(f"{read.scenario.run_s:g} s of mission")
+    with kept_alone(make_directory(folder)):  # or one run is judged by what another has written
         evidence = run_scenario(read, folder, _say)
-        verdicts = [judge(expectation, evidence) for expectation in read.scenario.expectations]
-        if arguments.json:
-            passed = all(verdict.passed for verdict in verdicts)
-            found = {"scenario": read.name, "passed": passed, "expectations": [one._asdict() for one in verdicts]}
-            answer(found, (), as_json=True)
+        verdicts = judged(read.scenario.expectations, evidence)
+        passed = [verdict.passed for verdict in verdicts]
+        outcomes = [verdict._asdict() for verdict in verdicts]
+        if as_json:
+            answer({"scenario": read.name, "passed": all(passed), "expectations": outcomes}, (), as_json=True)
         else:
             colours = {"passed": "green", "FAILED": "red"}
             show_table("", ("", "Test", "Expected", "Found"), table_rows(verdicts), colours)
             print(flush=True)
-        write_json(folder / "verdict.json", [verdict._asdict() for verdict in verdicts])
-        write_file(folder / "junit.xml", as_junit(read.name, verdicts))
-        if not all(verdict.passed for verdict in verdicts):
-            failed.append(
-                f"{read.name} ({sum(not verdict.passed for verdict in verdicts)} of {len(verdicts)}; see {folder})"
-            )
-    if failed:
-        raise SelfCheckError(f"expectations were not met: {', '.join(failed)}")
-    return 0
+        write_json(folder / VERDICT, outcomes)
+        write_file(folder / JUNIT, as_junit(read.name, verdicts))
+    return passed
 
 
 def _say(line: str) -> None:

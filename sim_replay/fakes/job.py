@@ -161,6 +161,8 @@ class Device(_Record, frozen=True, kw_only=True):
             )
         serial = self.link in ("serial", "slcan")
         for fault in self.faults:
+            if _changes_nothing(fault, self.baud):
+                raise ValueError(f"a fault '{fault.__struct_config__.tag}' changes nothing. Say by how much")
             if isinstance(fault, WrongBaud) and not serial:
                 raise ValueError(f"a link '{self.link}' has no baud rate that could be wrong")
             of_unit = isinstance(fault, Freeze) or (isinstance(fault, Offset) and not self.is_vehicle)
@@ -192,6 +194,22 @@ class Device(_Record, frozen=True, kw_only=True):
     def is_vehicle(self) -> bool:
         """Find whether the device is a vehicle."""
         return self.device in VEHICLE_NAMES
+
+
+def _changes_nothing(fault: Fault, baud: int) -> bool:
+    """Find whether a fault is as good as none on a device of this rate: a run with it would show nothing."""
+    match fault:
+        case Damage(rates=rates):
+            return rates in (FaultRates(), FaultRates(delay=rates.delay), FaultRates(delay_s=rates.delay_s))
+        case WrongBaud():
+            return fault.baud == baud
+        case ClockStep():
+            return not fault.by_s
+        case Offset():
+            return not (fault.east_m or fault.north_m or fault.heading_deg)
+        case Misreport():
+            return not (fault.depth_by_m or fault.altitude_by_m or fault.no_altitude)
+    return False
 
 
 class Job(_Record, frozen=True, kw_only=True):

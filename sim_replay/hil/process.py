@@ -34,7 +34,7 @@ class Process:
     def __init__(self, what: str, process: asyncio.subprocess.Process, log: Path) -> None:
         self.lines: list[tuple[float, str]] = []
         self.holds: list[tuple[float, float]] = []  # of a fake device: when it had waited, and for how long
-        self._what = what
+        self.what = what
         self._process = process
         self._log = log
         self._more = asyncio.Condition()
@@ -77,10 +77,10 @@ class Process:
             async with asyncio.timeout(within_s), self._more:
                 await self._more.wait_for(lambda: self._reading.done() or found() is not None)
         except TimeoutError:
-            raise HardwareError(f"{self._what} did not come up within {within_s:g} s{self._tail()}") from None
+            raise HardwareError(f"{self.what} did not come up within {within_s:g} s{self._tail()}") from None
         if (line := found()) is not None:
             return line
-        raise HardwareError(f"{self._what} ended before it was ready{self._tail()}")
+        raise HardwareError(f"{self.what} ended before it was ready{self._tail()}")
 
     def limit_files(self, n_bytes: int) -> None:
         """Limit files of the process, though not of processes it has started, to n_bytes."""
@@ -90,6 +90,11 @@ class Process:
     def pid(self) -> int:
         """Return its number."""
         return self._process.pid
+
+    @property
+    def has_ended(self) -> bool:
+        """Report whether it has ended, by itself or not."""
+        return self._process.returncode is not None
 
     def send_line(self, line: str) -> None:
         """Write a line to its standard input."""

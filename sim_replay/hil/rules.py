@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from typing import Annotated, TypeAlias
+from typing import Annotated, ClassVar, TypeAlias
 
 import msgspec
 from msgspec import Meta
@@ -20,14 +20,19 @@ class _Rule(Record, frozen=True, kw_only=True, tag_field="is"):
 
 
 class _Count(_Rule, frozen=True, kw_only=True):
-    """Bound a number; an omitted bound does not limit it."""
+    """Bound a number; an omitted bound does not limit it. is_count: it is never below 0."""
 
+    is_count: ClassVar[bool] = True
     at_least: float | None = None
     at_most: float | None = None
 
     def __post_init__(self) -> None:
         if self.at_least is None and self.at_most is None:
             raise ValueError("neither at_least nor at_most is given, so that any number would pass. Give one")
+        if self.at_least is not None and self.at_most is None and self.at_least <= 0 and self.is_count:
+            raise ValueError(f"at_least {self.at_least:g} is met by any count. Give 1 or more, or at_most")
+        if self.at_least is not None and self.at_most is not None and self.at_least > self.at_most:
+            raise ValueError(f"no number is at least {self.at_least:g} and at most {self.at_most:g}")
 
 
 class ExitCode(_Rule, frozen=True, kw_only=True, tag="exit_code"):
@@ -61,6 +66,7 @@ class SummaryRule(_Count, frozen=True, kw_only=True, tag="summary"):
     """Bound a number of summary.json, e.g. pings; of one that stands in another, keys from outside in, e.g.
     area.p_detected_mean."""
 
+    is_count: ClassVar[bool] = False
     key: str
 
 
@@ -312,6 +318,7 @@ VehicleRule: TypeAlias = (
     | Silence
     | LeftAlone
 )
+OfDevice: TypeAlias = SettingsRule | DeviceRule | Reopened | SameCount | VehicleRule
 Rule: TypeAlias = (
     Counted
     | ExitCode

@@ -6,9 +6,7 @@ import asyncio
 import json
 import signal
 import time
-from bisect import bisect_right
 from collections.abc import Callable, Coroutine, Iterator, Sequence
-from itertools import accumulate
 from pathlib import Path
 from typing import Any, Final
 
@@ -24,12 +22,14 @@ from auv_mcm.shell.whole_files import make_directory, write_file
 from sim_replay.fakes.job import Job, VehicleJob
 from sim_replay.hil.evidence import Line, Report, Restart
 from sim_replay.hil.joined_twin import lost_by_kills, problems_of, recorded_bytes
+from sim_replay.hil.mission_time import MissionTime
 from sim_replay.hil.power_cut import cut_power
 from sim_replay.hil.process import GRACE_S, Process
 from sim_replay.hil.resources import Sample, health_age_s, pings_waiting, sampled
 from sim_replay.hil.rules import AsReplayed, JoinedAsTwin, RecordedWhole, Restarted, Steady, Watched
 from sim_replay.hil.scenario import Kill, Read, Scenario, service_config, service_yaml
 from sim_replay.hil.service_manager import ServiceManager
+from sim_replay.hil.undone import undone
 from sim_replay.hil.verdict import Evidence, Placed, contacts_of, targets_of
 from sim_replay.logs.recorded import RecordedMission
 from sim_replay.replay import replay
@@ -40,6 +40,8 @@ from sim_replay.simulator.truth import TruthLog, truth_of
 
 RESULTS: Final = "results"
 SERVICE_LOG: Final = "service.log"
+VERDICT: Final = "verdict.json"
+JUNIT: Final = "junit.xml"
 _SYNCED: Final = "synced.txt"  # what the service synced
 
 _READY_S: Final = 300.0  # for a process to come up on a computer that has much else to do
@@ -63,7 +65,8 @@ def run_scenario(read: Read, folder: Path, progress: Callable[[str], None]) -> E
     make_directory(folder)
     scenario = read.scenario
     results = folder / RESULTS / "latest"
-    results.unlink(missing_ok=True)  # of an earlier run, whose results are no evidence of this one
+    for path in (results, folder / VERDICT, folder / JUNIT):
+        path.unlink(missing_ok=True)  # of an earlier run, which is no evidence of this one, however it ends
     progress("mission")
     jobs: list[Job] | list[VehicleJob]
     if scenario.vehicle is None:
@@ -106,13 +109,15 @@ def run_scenario(read: Read, folder: Path, progress: Callable[[str], None]) -> E
         stored=contacts.get("features", ()),
         journal=_read(results / JOURNAL),
         health_age_s=health_age_s(results / HEALTH, results / "summary.json"),
+        undone=undone(scenario, live.reports, live.dead, len(live.restarts), live.ended_s),
     )
 
 
 class _Live(msgspec.Struct):
     """Hold the output of the processes. exit_code: of the service, None if it had to be killed. killed_s: when the
     scenario killed it. stopped_s: when it was requested to stop, None if it had ended before. ended_s: when it had
-    ended. samples: of what its processes hold, where the scenario asks for them. All times are mission times.
+    ended. samples: of what its processes hold, where the scenario asks for them. dead: devices that ended before the
+    run did. All times are mission times.
     """
 
     exit_code: int | None
@@ -124,6 +129,7 @@ class _Live(msgspec.Struct):
     ended_s: float
     samples: Sequence[Sample]
     managed: Sequence[Line]
+    dead: Sequence[str]
 
 
 class _Run:
@@ -164,6 +170,7 @@ class _Run:
             ended_s = time.monotonic()
             if self._scenario.vehicle is not None:
                 await self._wait(_ALONE_S)
+            dead = [process.what for process in self._devices if process.has_ended]
         finally:
             await asyncio.gather(*(process.end() for process in (*self._devices, *self._services)))
             self._manager.close()
@@ -183,6 +190,7 @@ class _Run:
             ended_s=time_of.at(ended_s),
             samples=self._samples,
             managed=[Line(time_of.at(at_s), state) for at_s, state in self._manager.reports],
+            dead=dead,
         )
 
     async def _device(self, job: Job | VehicleJob) -> Process:
@@ -381,29 +389,6 @@ class _Run:
         except* HardwareError:
             pass  # longer than the run, or a device ended, which gives the reason in its log and fails its expectations
         await asyncio.sleep(max(0.0, ends_s - time.monotonic()))
-
-
-class MissionTime:
-    """Measure times of a run, s after its start.
-
-    The clock stands still while the computer is too slow for the mission.
-    """
-
-    def __init__(self, start_s: float, holds: Sequence[tuple[float, float]]) -> None:
-        """start_s: of the monotonic clock. holds: when each ended, by the same clock, and how long it was, s."""
-        self._start_s = start_s
-        self._holds = holds
-        self._ended_s = [ended_s for ended_s, _ in holds]
-        self._held_s = list(accumulate((for_s for _, for_s in holds), initial=0.0))
-
-    def at(self, mono_s: float) -> float:
-        """Convert an instant of the monotonic clock to mission time."""
-        n_over = bisect_right(self._ended_s, mono_s)
-        held_s = self._held_s[n_over]
-        if n_over < len(self._holds):
-            ended_s, for_s = self._holds[n_over]
-            held_s += max(mono_s - ended_s + for_s, 0.0)
-        return mono_s - self._start_s - held_s
 
 
 def _mission(read: Read, folder: Path) -> tuple[Path, list[Placed]]:

@@ -16,18 +16,22 @@ from msgspec import Meta
 
 from auv_mcm.errors import UsageError
 from auv_mcm.settings.config import Config, parse_config
+from auv_mcm.settings.port_settings import DEVICE_NAMES
 from auv_mcm.settings.strict_yaml import explain_validation_error, load_mapping, read_text
 from sim_replay.fakes.job import Device
+from sim_replay.hil.known_names import is_counter, is_device_counter, is_notice, is_report
 from sim_replay.hil.rules import (
+    CounterRule,
     DeviceRule,
     Expectation,
+    NoticeRule,
+    OfDevice,
     Record,
-    Reopened,
+    ReportRule,
     Restarted,
+    Rule,
     SameCount,
-    SettingsRule,
     TargetsFound,
-    VehicleRule,
 )
 
 SCENARIOS: Final = Path(__file__).parent / "scenarios"
@@ -210,16 +214,54 @@ def _contradictions(scenario: Scenario) -> Iterator[str]:
     section = scenario.service.get("service")
     if isinstance(section, dict) and _SET_BY_US in section:
         yield f"`service.service.{_SET_BY_US}` is chosen for each run: leave it out"
+    yield from _too_late(scenario)
     for index, expectation in enumerate(scenario.expectations):
-        rule = expectation.expected
-        if isinstance(rule, SettingsRule | DeviceRule | Reopened | SameCount) and rule.device not in scenario.devices:
-            yield f"`expectations[{index}]` names '{rule.device}', which is none of `devices`"
-        if isinstance(rule, VehicleRule) and rule.device not in scenario.devices:
-            yield f"`expectations[{index}]` names '{rule.device}', which is none of `devices`"
-        if isinstance(rule, Restarted) and not scenario.restarts_s:
-            yield f"`expectations[{index}]` needs `restarts_s`"
-        if isinstance(rule, TargetsFound) and scenario.scene is None:
-            yield f"`expectations[{index}]` needs the truth, which only a `scene` provides"
+        for problem in _not_to_be_expected(scenario, expectation.expected):
+            yield f"`expectations[{index}]` {problem}"
+
+
+def _too_late(scenario: Scenario) -> Iterator[str]:
+    """Yield what the run is over for: what then is expected would be of a run in which nothing went wrong."""
+    step = scenario.host_clock_step
+    due_s = {} if step is None else {"host_clock_step": step.at_s}
+    for name, device in scenario.devices.items():
+        for index, fault in enumerate(device.faults):
+            if fault.after == "start":
+                due_s[f"devices.{name}.faults[{index}]"] = fault.at_s
+    for what, at_s in due_s.items():
+        if at_s >= scenario.run_s and not scenario.restarts_s:
+            yield f"`{what}` is due at {at_s:g} s, when the run is over: `run_s` is {scenario.run_s:g}"
+    if (every := scenario.power_cut_every) is not None and every > len(scenario.restarts_s):
+        yield f"`power_cut_every` is {every}, of {len(scenario.restarts_s)} `restarts_s`: none would be a power cut"
+
+
+def _not_to_be_expected(scenario: Scenario, rule: Rule) -> Iterator[str]:
+    if isinstance(rule, OfDevice) and rule.device not in scenario.devices:
+        yield f"names '{rule.device}', which is none of `devices`"
+    if isinstance(rule, Restarted) and not scenario.restarts_s:
+        yield "needs `restarts_s`"
+    if isinstance(rule, TargetsFound) and scenario.scene is None:
+        yield "needs the truth, which only a `scene` provides"
+    if (window := getattr(rule, "between_s", None)) is not None and window[0] > window[1]:
+        yield f"has a window that ends before it begins: between_s {window[0]:g} and {window[1]:g}"
+    yield from _misspelt(scenario, rule)
+
+
+def _misspelt(scenario: Scenario, rule: Rule) -> Iterator[str]:
+    """Yield names that nothing has. A driver from a plug-in may raise and count whatever it likes."""
+    ports = scenario.service.get("ports")
+    ports = [port for port in ports if isinstance(port, dict)] if isinstance(ports, list) else []
+    names = [str(port.get("name")) for port in ports]
+    is_ours = all(port.get("device") in DEVICE_NAMES for port in ports)
+    match rule:
+        case NoticeRule() if is_ours and not is_notice(rule.code):
+            yield f"names the notice '{rule.code}', which is never raised"
+        case CounterRule() | SameCount() if is_ours and not is_counter(rule.name, names):
+            yield f"names the counter '{rule.name}', which nothing counts"
+        case ReportRule() if not is_report(rule.what):
+            yield f"names the report '{rule.what}', which no fake device makes"
+    if isinstance(rule, DeviceRule | SameCount) and not is_device_counter(rule.counter):
+        yield f"names the counter '{rule.counter}', which no fake device has"
 
 
 def _placeholders(value: Any) -> Iterator[str]:

@@ -8,13 +8,14 @@ import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from fnmatch import fnmatchcase
-from typing import Any, Final, NamedTuple, TypeAlias
+from typing import Any, Final, NamedTuple
 from xml.etree.ElementTree import Element, SubElement, tostring
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from auv_mcm.clean_text import clean
 from auv_mcm.geometry.geodesy import LocalFrame
 from sim_replay.hil.announced import CONTACT, announced_in, stored_otherwise
 from sim_replay.hil.evidence import Line, Report, Restart
@@ -36,6 +37,7 @@ from sim_replay.hil.rules import (
     LeftAlone,
     LineRule,
     NoticeRule,
+    OfDevice,
     OwnPlanAtEnd,
     Passed,
     RecordedWhole,
@@ -69,6 +71,7 @@ from sim_replay.hil.vehicle_verdict import (
     reported_in_time,
 )
 
+_NOT_IN_SUMMARY: Final = "not in summary.json"
 _STOPPING: Final = re.compile(r"\bstopping: ")
 
 
@@ -90,6 +93,7 @@ class Evidence(NamedTuple):
     ended_s: when the service had ended. lost_s: what each restart cost of the recording. samples: of its processes.
     stored: features of contacts.geojson. journal: contacts.jsonl. health_age_s: of what health.json states, at the
     service's end. managed: what the service reported to its manager. recorded_bytes: of input, by port.
+    undone: what the run did not do although its scenario says so, in words.
     """
 
     exit_code: int | None
@@ -112,6 +116,7 @@ class Evidence(NamedTuple):
     health_age_s: float = math.nan
     managed: Sequence[Line] = ()
     recorded_bytes: Mapping[str, int] = {}
+    undone: Sequence[str] = ()
 
 
 class Verdict(NamedTuple):
@@ -121,6 +126,15 @@ class Verdict(NamedTuple):
     expected: str
     found: str
     passed: bool
+
+
+def judged(expectations: Sequence[Expectation], evidence: Evidence) -> list[Verdict]:
+    """Judge a run: by each expectation, and as failed where it was not the run that its scenario describes."""
+    verdicts = [judge(expectation, evidence) for expectation in expectations]
+    if evidence.undone:
+        expected = "every fault begins, and every fake device lasts until the end"
+        verdicts.append(Verdict("the run is that of the scenario", expected, "; ".join(evidence.undone), False))
+    return verdicts
 
 
 def judge(expectation: Expectation, evidence: Evidence) -> Verdict:
@@ -135,13 +149,18 @@ def table_rows(verdicts: Sequence[Verdict]) -> list[tuple[str, str, str, str]]:
 
 
 def as_junit(name: str, verdicts: Sequence[Verdict]) -> bytes:
-    """Format the verdicts of a scenario as a JUnit test suite: a test case each, failures with what was found."""
+    """Format the verdicts of a scenario as a JUnit test suite: a test case each, failures with what was found.
+
+    Characters that XML forbids are written out.
+    """
     n_failed = sum(not verdict.passed for verdict in verdicts)
-    suite = Element("testsuite", name=name, tests=str(len(verdicts)), failures=str(n_failed), errors="0", skipped="0")
+    suite = Element(
+        "testsuite", name=clean(name), tests=str(len(verdicts)), failures=str(n_failed), errors="0", skipped="0"
+    )
     for verdict in verdicts:
-        case = SubElement(suite, "testcase", classname=f"hil.{name}", name=verdict.test)
+        case = SubElement(suite, "testcase", classname=f"hil.{clean(name)}", name=clean(verdict.test))
         if not verdict.passed:
-            SubElement(case, "failure", message=f"expected: {verdict.expected}; found: {verdict.found}")
+            SubElement(case, "failure", message=clean(f"expected: {verdict.expected}; found: {verdict.found}"))
     document: bytes = tostring(suite, encoding="utf-8", xml_declaration=True)
     return document
 
@@ -164,6 +183,14 @@ def targets_of(truth: Mapping[str, Any]) -> list[Placed]:
         for scene_object in truth["objects"]
         if scene_object["is_target"]
     ]
+
+
+def _ended(rule: ExitCode, evidence: Evidence) -> tuple[str, str, bool]:
+    """Judge how the service ended. One that ended unasked and calls that a success gave the mission up."""
+    code = evidence.exit_code
+    unasked = " without a request to stop" if evidence.stopped_s is None else ""
+    found = "had to be killed" if code is None else f"exit code {code}{unasked}"
+    return f"exit code {rule.code}", found, code == rule.code and not (code == 0 and unasked)
 
 
 def _answered(rule: AnswersStop, evidence: Evidence) -> tuple[str, str, bool]:
@@ -222,12 +249,7 @@ def _restarted(rule: Restarted, evidence: Evidence) -> tuple[str, str, bool]:
 def _judged(rule: Rule, evidence: Evidence) -> tuple[str, str, bool]:
     match rule:
         case ExitCode():
-            code = evidence.exit_code
-            return (
-                f"exit code {rule.code}",
-                "had to be killed" if code is None else f"exit code {code}",
-                code == rule.code,
-            )
+            return _ended(rule, evidence)
         case EndsWithin():
             took_s = evidence.ended_s - (math.nan if evidence.stopped_s is None else evidence.stopped_s)
             return f"it ends within {rule.within_s:g} s", f"after {took_s:.2f} s", took_s <= rule.within_s
@@ -236,22 +258,20 @@ def _judged(rule: Rule, evidence: Evidence) -> tuple[str, str, bool]:
         case CounterRule():
             counters = evidence.summary.get("counters", {})
             value = float(sum(count for name, count in counters.items() if fnmatchcase(name, rule.name)))
-            return _limited(rule, value, rule.name, is_known=bool(evidence.summary))
+            return _limited(rule, value, rule.name, unknown="" if evidence.summary else _NOT_IN_SUMMARY)
         case SummaryRule():
             reported: Any = evidence.summary
             for part in rule.key.split("."):
                 reported = reported.get(part) if isinstance(reported, Mapping) else None
             if not isinstance(reported, int | float):
-                return _limited(rule, math.nan, rule.key, is_known=False)
+                return _limited(rule, math.nan, rule.key, unknown=_NOT_IN_SUMMARY)
             return _limited(rule, float(reported), rule.key)
         case NoticeRule():
             matching = re.compile(rf"^notice {re.escape(rule.code)}: ")
-            return _limited(
-                rule, _n_lines(evidence, matching, rule.between_s), f"notices {rule.code}{_window(rule.between_s)}"
-            )
+            return _limited_within(rule, _n_lines(evidence, matching, rule.between_s), f"notices {rule.code}", evidence)
         case LineRule():
             n_lines = _n_lines(evidence, re.compile(rule.matching), rule.between_s)
-            return _limited(rule, n_lines, f"lines with '{rule.matching}'{_window(rule.between_s)}")
+            return _limited_within(rule, n_lines, f"lines with '{rule.matching}'", evidence)
         case TargetsFound():
             likely = [contact for contact in evidence.contacts if contact.p_mine >= rule.min_p_mine]
             n_found = len(_matched(evidence.targets, likely, rule.within_m))
@@ -279,12 +299,6 @@ def _judged(rule: Rule, evidence: Evidence) -> tuple[str, str, bool]:
             return _of_device(rule, evidence, evidence.reports[rule.device])
 
 
-OfVehicle: TypeAlias = (
-    Passed | Sharper | ReportedInTime | ReportedAsStored | InsideFence | AboveFloor | OwnPlanAtEnd | Silence | LeftAlone
-)
-OfDevice: TypeAlias = SettingsRule | DeviceRule | SameCount | Reopened | ReportRule | OfVehicle
-
-
 def _of_device(rule: OfDevice, evidence: Evidence, reports: Sequence[Report]) -> tuple[str, str, bool]:
     """Judge what a device reported."""
     match rule:
@@ -293,7 +307,12 @@ def _of_device(rule: OfDevice, evidence: Evidence, reports: Sequence[Report]) ->
             n_explained = sum(rule.containing in settings for settings in reported)
             return _limited(rule, n_explained, f"times '{rule.device}' is set to '{rule.containing}'")
         case DeviceRule():
-            return _limited(rule, _count_of(reports, rule.counter), f"{rule.counter} of '{rule.device}'")
+            return _limited(
+                rule,
+                _count_of(reports, rule.counter),
+                f"{rule.counter} of '{rule.device}'",
+                unknown="" if any(report.what == "counters" for report in reports) else "it reported no counters",
+            )
         case SameCount():
             counted, seen = evidence.summary.get("counters", {}).get(rule.name, 0), _count_of(reports, rule.counter)
             expected = f"{rule.name} is {rule.counter} of '{rule.device}', and more than 0"
@@ -305,9 +324,7 @@ def _of_device(rule: OfDevice, evidence: Evidence, reports: Sequence[Report]) ->
             reports = [report for report in reports if report.what == rule.what and first_s <= report.at_s <= last_s]
             n_reports = sum(rule.containing in json.dumps(report.details) for report in reports)
             containing = f" with {rule.containing}" if rule.containing else ""
-            return _limited(
-                rule, n_reports, f"times '{rule.device}' reports {rule.what}{containing}{_window(rule.between_s)}"
-            )
+            return _limited_within(rule, n_reports, f"times '{rule.device}' reports {rule.what}{containing}", evidence)
         case Passed():
             low_m, high_m = rule.ground_range_m
             what = (
@@ -340,7 +357,8 @@ def _count_of(reports: Sequence[Report], counter: str) -> float:
     return float(next((report.details for report in reports if report.what == "counters"), {}).get(counter, 0))
 
 
-def _limited(rule: Counted, value: float, what: str, *, is_known: bool = True) -> tuple[str, str, bool]:
+def _limited(rule: Counted, value: float, what: str, *, unknown: str = "") -> tuple[str, str, bool]:
+    """Hold a number against its bounds. unknown: why there is none, which never passes."""
     low, high = rule.at_least, rule.at_most
     if low is not None and low == high:
         limits = f"{low:g}"
@@ -348,8 +366,17 @@ def _limited(rule: Counted, value: float, what: str, *, is_known: bool = True) -
         limits = f"{low:g} to {high:g}"
     else:
         limits = f"at least {low:g}" if low is not None else f"at most {high:g}"
-    passed = is_known and (low is None or value >= low) and (high is None or value <= high)
-    return f"{limits} {what}", f"{value:g}" if is_known else "not in summary.json", passed
+    passed = not unknown and (low is None or value >= low) and (high is None or value <= high)
+    return f"{limits} {what}", unknown or f"{value:g}", passed
+
+
+def _limited_within(
+    rule: NoticeRule | LineRule | ReportRule, value: float, what: str, evidence: Evidence
+) -> tuple[str, str, bool]:
+    """Hold a number of a window against its bounds; of one that the run did not come to, nothing is known."""
+    is_over = rule.between_s is not None and rule.between_s[0] > evidence.ended_s
+    unknown = f"the service had ended after {evidence.ended_s:.1f} s" if is_over else ""
+    return _limited(rule, value, what + _window(rule.between_s), unknown=unknown)
 
 
 def _n_lines(evidence: Evidence, matching: re.Pattern[str], between_s: Window | None) -> int:

@@ -15,9 +15,10 @@ from xml.etree import ElementTree
 
 import pytest
 
-from auv_mcm.errors import HardwareError, SelfCheckError
+from auv_mcm.errors import HardwareError, SelfCheckError, UsageError
 from sim_replay.commands import hil
-from sim_replay.hil.run import MissionTime
+from sim_replay.hil.mission_time import MissionTime
+from sim_replay.results_folder import kept_alone
 from tests.sim_replay.logs.xtf_logs import written
 
 SHORT = """
@@ -83,11 +84,29 @@ def test_failed_expectations_are_printed_and_set_the_exit_code(
     ]
 
 
-def test_a_service_that_refuses_its_configuration_is_quoted(tmp_path: Path) -> None:
+def test_two_scenarios_of_one_name_would_overwrite_each_other(tmp_path: Path) -> None:
+    (tmp_path / "other").mkdir()
+    with pytest.raises(UsageError, match="'short' is given twice"):
+        run(str(short(tmp_path)), str(short(tmp_path / "other")), "--out", str(tmp_path))
+
+
+def test_a_folder_that_another_run_writes_to_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "short").mkdir()
+    with kept_alone(tmp_path / "short"), pytest.raises(UsageError, match=r"another run writes to .*short"):
+        run(str(short(tmp_path)), "--out", str(tmp_path))
+
+
+def test_a_service_that_refuses_its_configuration_is_quoted_and_verdicts_of_a_run_before_are_gone(
+    tmp_path: Path,
+) -> None:
+    for name in ("verdict.json", "junit.xml"):
+        (tmp_path / "short").mkdir(exist_ok=True)
+        (tmp_path / "short" / name).write_text("all passed", "utf-8")
     path = short(tmp_path, "link: '{nav}', device: pd6", "link: '{nav}', device: nmea2000")
     with pytest.raises(HardwareError, match=r"ended before it was ready(.|\n)*slcan"):
         run(str(path), "--out", str(tmp_path))
     assert not processes_with(str(tmp_path))
+    assert not {"verdict.json", "junit.xml"} & {path.name for path in (tmp_path / "short").iterdir()}
 
 
 def test_a_service_that_is_killed_on_the_way_is_started_again_and_goes_on_while_the_mission_waits(

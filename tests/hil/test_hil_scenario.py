@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -12,8 +13,10 @@ import yaml
 from auv_mcm.cli import main
 from auv_mcm.errors import UsageError
 from auv_mcm.settings.config import parse_config
+from deploy.site.raised import counted_names, notices_by_code, raised_notices
 from drivers.ports import read_ports
 from sim_replay.hil.evidence import Report
+from sim_replay.hil.known_names import is_counter
 from sim_replay.hil.scenario import (
     SCENARIOS,
     Read,
@@ -23,6 +26,7 @@ from sim_replay.hil.scenario import (
     service_yaml,
     shipped,
 )
+from sim_replay.hil.undone import undone
 from sim_replay.hil.verdict import Evidence
 from tests.hil.test_hil_runs import run
 
@@ -78,6 +82,14 @@ def test_the_service_gets_the_devices_addresses_and_a_folder_for_its_results(tmp
         ("{is: exit_code}", "{is: line, matching: '(', at_least: 1}", "not a regular expression"),
         ("do: stall", "do: explode", "explode"),
         ("for_s: 2", "for_s: 2, rates: {}", "rates"),
+        ("at_s: 1,", "at_s: 5,", r"`devices\.nav\.faults\[0\]` is due at 5 s, when the run is over"),
+        ("run_s: 5", "run_s: 5\nhost_clock_step: {at_s: 6, by_s: 1}", "`host_clock_step` is due at 6 s"),
+        ("run_s: 5", "run_s: 5\nwaits: true\nrestarts_s: [1]\npower_cut_every: 2", "none would be a power cut"),
+        ("do: stall, at_s: 1, for_s: 2", "do: damage, at_s: 1, rates: {}", "'damage' changes nothing"),
+        ("do: stall, at_s: 1, for_s: 2", "do: damage, at_s: 1, rates: {delay: 0.5}", "'damage' changes nothing"),
+        ("do: stall, at_s: 1, for_s: 2", "do: wrong_baud, at_s: 1, baud: 115200", "'wrong_baud' changes nothing"),
+        ("do: stall, at_s: 1, for_s: 2", "do: offset, at_s: 1", "changes nothing"),
+        ("do: stall, at_s: 1, for_s: 2", "do: clock_step, at_s: 1, by_s: 0", "'clock_step' changes nothing"),
     ],
 )
 def test_what_cannot_be_is_refused_with_its_place(old: str, new: str, named: str) -> None:
@@ -85,6 +97,62 @@ def test_what_cannot_be_is_refused_with_its_place(old: str, new: str, named: str
     with pytest.raises(UsageError, match=named) as refusal:
         parse_scenario(SOUND.replace(old, new, 1), "my.yaml")
     assert "my.yaml" in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("rule", "named"),
+    [
+        ("{is: notice, code: port_dwon, at_most: 0}", "the notice 'port_dwon', which is never raised"),
+        ("{is: counter, name: navigation.ping_stael, at_most: 0}", "which nothing counts"),
+        ("{is: counter, name: 'port.sonra.*refused*', at_most: 0}", "which nothing counts"),
+        ("{is: device, device: nav, counter: device.skiped, at_most: 0}", "which no fake device has"),
+        ("{is: same_count, device: nav, name: pnig.gap, counter: device.events}", "which nothing counts"),
+        ("{is: reported, device: nav, what: reopend, at_most: 0}", "which no fake device makes"),
+        ("{is: notice, code: port_down, at_most: 0, between_s: [3, 1]}", "ends before it begins"),
+        ("{is: notice, code: port_down, at_least: 0}", "met by any count"),
+        ("{is: counter, name: ping.gap, at_least: 3, at_most: 2}", "no number is at least 3 and at most 2"),
+    ],
+)
+def test_an_expectation_that_holds_whatever_happens_is_refused(rule: str, named: str) -> None:
+    with pytest.raises(UsageError, match=re.escape(named)):
+        parse_scenario(SOUND.replace("{is: exit_code}", rule), "my.yaml")
+
+
+@pytest.mark.parametrize("code", sorted(notices_by_code(raised_notices())))
+def test_every_notice_that_is_raised_can_be_expected(code: str) -> None:
+    assert parse_scenario(SOUND.replace("{is: exit_code}", f"{{is: notice, code: {code}, at_most: 0}}"), "here")
+
+
+def test_every_counter_can_be_expected() -> None:
+    names = {re.sub("<[^>]*>", "*", counted.name) for counted in counted_names()}
+    assert names
+    assert [name for name in sorted(names) if not is_counter(name, [])] == []
+
+
+def test_what_a_driver_of_a_plug_in_raises_and_counts_is_its_own_affair(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sim_replay.hil.scenario.DEVICE_NAMES", ("ping_protocol",))  # as if pd6 came from elsewhere
+    for rule in ("{is: notice, code: acme_tilted, at_most: 0}", "{is: counter, name: acme.tilts, at_most: 0}"):
+        assert parse_scenario(SOUND.replace("{is: exit_code}", rule), "here")
+
+
+STALLED = {"sonar": [], "nav": [Report(1.0, "fault", {"do": "stall"})]}
+STEPS = "host_clock_step: {at_s: 4, by_s: 1}"
+
+
+@pytest.mark.parametrize(
+    ("changed", "ran", "words"),
+    [
+        ("", (STALLED, [], 0, 5.0), []),
+        ("", ({"sonar": [], "nav": []}, [], 0, 5.0), ["1 of 1 faults 'stall' of 'nav' did not begin"]),
+        ("", (STALLED, ["fake device 'nav'"], 0, 5.0), ["fake device 'nav' ended on the way"]),
+        ("restarts_s: [1]", (STALLED, [], 0, 5.0), ["the service was started again 0 of 1 times"]),
+        ("restarts_s: [1]", (STALLED, [], 1, 5.0), []),
+        (STEPS, (STALLED, [], 0, 5.0), []),
+        (STEPS, (STALLED, [], 0, 3.0), ["the host's clock did not step: the service had ended after 3.0 s"]),
+    ],
+)
+def test_what_a_run_did_not_do_of_its_scenario_is_listed(changed: str, ran: Any, words: list[str]) -> None:
+    assert list(undone(parse_scenario(f"{SOUND}\n{changed}\n", "here"), *ran)) == words
 
 
 def test_targets_cannot_be_expected_of_a_log() -> None:
@@ -235,7 +303,7 @@ def test_all_runs_every_shipped_scenario_and_fails_if_one_does(tmp_path: Path, m
     ran = []
 
     def run_nothing(read: Read, folder: Path, progress: Callable[[str], None]) -> Evidence:
-        folder.mkdir(parents=True)
+        assert folder.is_dir()
         ran.append(read.name)
         reports: dict[str, list[Report]] = {name: [] for name in read.scenario.devices}
         return Evidence(exit_code=None, lines=[], reports=reports, summary={}, contacts=(), targets=(), replayed=None)

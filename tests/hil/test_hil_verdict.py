@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from typing import Any
+from xml.etree import ElementTree
 
 import pytest
 
@@ -22,6 +23,7 @@ from sim_replay.hil.rules import (
     NoticeRule,
     RecordedWhole,
     Reopened,
+    ReportRule,
     Rule,
     SameCount,
     SettingsRule,
@@ -30,7 +32,7 @@ from sim_replay.hil.rules import (
     TargetsFound,
     Watched,
 )
-from sim_replay.hil.verdict import Evidence, Placed, contacts_of, judge, table_rows, targets_of
+from sim_replay.hil.verdict import Evidence, Placed, as_junit, contacts_of, judge, judged, table_rows, targets_of
 
 LATITUDE_DEG, LONGITUDE_DEG = 43.0, 5.0
 METRES_PER_DEGREE = 111_100.0
@@ -64,6 +66,8 @@ def evidence(**changes: Any) -> Evidence:
         contacts=[placed(0.0), placed(10.2, 0.6), placed(20.0, 0.01, "clutter")],
         targets=[placed(0.5), placed(10.0)],
         replayed=[placed(0.1), placed(10.0, 0.7)],
+        stopped_s=9.0,
+        ended_s=9.5,
     )
     return sound._replace(**changes)
 
@@ -95,6 +99,12 @@ def test_an_exit_code_is_what_it_is_and_a_killed_service_has_none() -> None:
     assert not passes(ExitCode(), exit_code=None)
 
 
+def test_a_service_that_ends_unasked_and_calls_it_a_success_gave_up() -> None:
+    assert not passes(ExitCode(), stopped_s=None)
+    assert passes(ExitCode(code=4), exit_code=4, stopped_s=None)
+    assert passes(ExitCode(code=-9), exit_code=-9, stopped_s=None)
+
+
 def test_counters_are_summed_by_pattern_and_absent_ones_are_zero() -> None:
     assert passes(CounterRule(name="port.a.refused.*", at_least=5, at_most=5))
     assert passes(CounterRule(name="ping.gap", at_least=1))
@@ -119,11 +129,43 @@ def test_notices_and_lines_are_counted_within_their_time() -> None:
     assert passes(LineRule(matching=r"is up$|gone", at_least=2, at_most=2))
 
 
+def test_nothing_is_known_of_a_time_that_the_run_did_not_come_to() -> None:
+    rules: list[Rule] = [
+        NoticeRule(code="port_down", at_most=0, between_s=(7.0, 20.0)),
+        LineRule(matching="gone", at_most=0, between_s=(7.0, 20.0)),
+        ReportRule(device="sonar", what="mended", at_most=0, between_s=(7.0, 20.0)),
+    ]
+    for rule in rules:
+        assert passes(rule)
+        assert not passes(rule, ended_s=6.5)
+
+
 def test_what_devices_report_counts() -> None:
     assert passes(SettingsRule(device="sonar", containing="30 m", at_least=1, at_most=1))
     assert not passes(SettingsRule(device="sonar", containing="60 m", at_least=1))
     assert passes(DeviceRule(device="sonar", counter="device.skipped", at_most=2))
     assert not passes(DeviceRule(device="sonar", counter="device.skipped", at_most=1))
+
+
+def test_of_a_device_that_died_without_its_counters_nothing_holds() -> None:
+    rule = DeviceRule(device="sonar", counter="device.skipped", at_most=2)
+    assert not passes(rule, reports={"sonar": [Report(0.1, "settings", {"applied": "on, 30 m"})]})
+    assert passes(rule, reports={"sonar": [Report(9.0, "counters", {})]})
+
+
+def test_a_run_that_was_not_that_of_its_scenario_fails_whatever_it_expects() -> None:
+    expectations = [Expectation(test="it ends", expected=ExitCode())]
+    assert [verdict.passed for verdict in judged(expectations, evidence())] == [True]
+    of_another = judged(expectations, evidence(undone=["1 of 1 faults 'unplug' of 'nav' did not begin"]))
+    assert [verdict.passed for verdict in of_another] == [True, False]
+    assert "'unplug' of 'nav'" in of_another[1].found
+
+
+def test_strict_readers_of_xml_take_what_a_scenario_says_in_any_characters() -> None:
+    named = Expectation(test="no \x1b[31m & <\x00>", expected=LineRule(matching="\x1b", at_least=1))
+    suite = ElementTree.fromstring(as_junit("odd\x07", judged([named], evidence())))
+    assert [case.get("name") for case in suite] == ["no \\x1b[31m & <\\x00>"]
+    assert (suite.get("name"), suite.get("failures")) == ("odd\\x07", "1")
 
 
 @pytest.mark.parametrize(

@@ -164,7 +164,7 @@ def test_a_folder_that_a_replay_writes_to_is_refused_to_another(logs: tuple[Path
 
     def meanwhile(done: float) -> None:
         if not refused:
-            with pytest.raises(UsageError, match="another replay writes to") as error:
+            with pytest.raises(UsageError, match="another run writes to") as error:
                 replay(logs[1:], tmp_path / "out", Config())
             refused.append(error)
 
