@@ -149,6 +149,12 @@ class StoredAsAnnounced(_Rule, frozen=True, kw_only=True, tag="stored_as_announc
     """
 
 
+class ContactTimes(_Rule, frozen=True, kw_only=True, tag="contact_times"):
+    """Expect the UTC of each contact in contacts.geojson to lie in the run, or this near; there must be one or more."""
+
+    within_s: Annotated[float, Meta(ge=0.0)] = 1.0
+
+
 class RecordedWhole(_Rule, frozen=True, kw_only=True, tag="recorded_whole"):
     """Expect the recording to hold as many bytes of a port as came in over its link, and more than 0.
 
@@ -329,6 +335,7 @@ Rule: TypeAlias = (
     | JoinedAsTwin
     | AnnouncedOnce
     | StoredAsAnnounced
+    | ContactTimes
     | RecordedWhole
     | FreshHealth
     | Watched

@@ -75,7 +75,9 @@ def run_scenario(read: Read, folder: Path, progress: Callable[[str], None]) -> E
     else:
         log, targets, jobs = None, _known_targets(read), [_vehicle_job(read, folder)]
     progress("devices and service")
+    began_utc_s = time.time()
     live = _interruptible(_Run(scenario, folder, progress).live(jobs))
+    utc_s = began_utc_s, time.time()
     config = service_config(scenario, dict.fromkeys(scenario.devices, ""), read.name)
     summary = _read_json(results / "summary.json")
     contacts = _read_json(results / "contacts.geojson")
@@ -110,6 +112,7 @@ def run_scenario(read: Read, folder: Path, progress: Callable[[str], None]) -> E
         journal=_read(results / JOURNAL),
         health_age_s=health_age_s(results / HEALTH, results / "summary.json"),
         undone=undone(scenario, live.reports, live.dead, len(live.restarts), live.ended_s),
+        utc_s=utc_s,
     )
 
 

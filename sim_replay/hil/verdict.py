@@ -7,6 +7,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from datetime import datetime
 from fnmatch import fnmatchcase
 from typing import Any, Final, NamedTuple
 from xml.etree.ElementTree import Element, SubElement, tostring
@@ -25,6 +26,7 @@ from sim_replay.hil.rules import (
     AnnouncedOnce,
     AnswersStop,
     AsReplayed,
+    ContactTimes,
     Counted,
     CounterRule,
     DeviceRule,
@@ -93,7 +95,8 @@ class Evidence(NamedTuple):
     ended_s: when the service had ended. lost_s: what each restart cost of the recording. samples: of its processes.
     stored: features of contacts.geojson. journal: contacts.jsonl. health_age_s: of what health.json states, at the
     service's end. managed: what the service reported to its manager. recorded_bytes: of input, by port.
-    undone: what the run did not do although its scenario says so, in words.
+    undone: what the run did not do although its scenario says so, in words. utc_s: between
+    which the processes ran, by this computer.
     """
 
     exit_code: int | None
@@ -117,6 +120,7 @@ class Evidence(NamedTuple):
     managed: Sequence[Line] = ()
     recorded_bytes: Mapping[str, int] = {}
     undone: Sequence[str] = ()
+    utc_s: tuple[float, float] = (math.nan, math.nan)
 
 
 class Verdict(NamedTuple):
@@ -236,6 +240,15 @@ def _stored_as_announced(evidence: Evidence) -> tuple[str, str, bool]:
     return "contacts are stored as they were announced last", found, not problems
 
 
+def _times_of_contacts(rule: ContactTimes, evidence: Evidence) -> tuple[str, str, bool]:
+    texts = [feature["properties"]["time"] for feature in evidence.stored]
+    times_s = [math.inf if text is None else datetime.fromisoformat(text).timestamp() for text in texts]
+    off_s = [max(evidence.utc_s[0] - time_s, time_s - evidence.utc_s[1], 0.0) for time_s in times_s]
+    found = f"{len(off_s)} contacts, {max(off_s, default=0.0):.1f} s outside at most"
+    expected = f"contacts have times of the run, within {rule.within_s:g} s"
+    return expected, found, bool(off_s) and max(off_s) <= rule.within_s
+
+
 def _restarted(rule: Restarted, evidence: Evidence) -> tuple[str, str, bool]:
     expected = f"ready within {rule.ready_within_s:g} s of each kill, {rule.lost_s:g} s of the recording lost at most"
     if not evidence.restarts:
@@ -291,6 +304,8 @@ def _judged(rule: Rule, evidence: Evidence) -> tuple[str, str, bool]:
             return watched(rule, evidence.managed)
         case AnnouncedOnce() | StoredAsAnnounced() | RecordedWhole():
             return _on_disk(rule, evidence)
+        case ContactTimes():
+            return _times_of_contacts(rule, evidence)
         case Restarted():
             return _restarted(rule, evidence)
         case Steady():

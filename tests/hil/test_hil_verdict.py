@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from datetime import UTC, datetime
 from typing import Any
 from xml.etree import ElementTree
 
@@ -14,6 +15,7 @@ from sim_replay.hil.rules import (
     AnnouncedOnce,
     AnswersStop,
     AsReplayed,
+    ContactTimes,
     CounterRule,
     DeviceRule,
     ExitCode,
@@ -166,6 +168,23 @@ def test_strict_readers_of_xml_take_what_a_scenario_says_in_any_characters() -> 
     suite = ElementTree.fromstring(as_junit("odd\x07", judged([named], evidence())))
     assert [case.get("name") for case in suite] == ["no \\x1b[31m & <\\x00>"]
     assert (suite.get("name"), suite.get("failures")) == ("odd\\x07", "1")
+
+
+@pytest.mark.parametrize(
+    ("times", "holds"),
+    [
+        (["2026-01-01T00:00:05.000Z", "2026-01-01T00:00:10.500Z"], True),
+        (["2026-01-01T00:00:05.000Z", "2026-01-01T01:00:05.000Z"], False),
+        (["2025-12-31T23:59:58.000Z"], False),
+        ([None], False),
+        ([], False),
+    ],
+)
+def test_contacts_have_times_of_the_run(times: list[str | None], holds: bool) -> None:
+    began_s = datetime(2026, 1, 1, tzinfo=UTC).timestamp()
+    stored = [{"properties": {"time": time}} for time in times]
+    assert passes(ContactTimes(), stored=stored, utc_s=(began_s, began_s + 10.0)) is holds
+    assert not passes(ContactTimes(), stored=stored), "nobody knows when it ran"
 
 
 @pytest.mark.parametrize(
