@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from typing import Final
 
 from sim_replay.hil.evidence import Report
 from sim_replay.hil.scenario import Scenario
+
+# Faults of what a device sends, which is nothing more once its mission is over.
+_OF_MESSAGES: Final = ("damage", "clock_step", "freeze", "offset", "nonsense", "misreport")
 
 
 def undone(
@@ -39,6 +44,9 @@ def undone(
 def _not_begun(scenario: Scenario, reports: Mapping[str, Sequence[Report]]) -> Iterator[str]:
     for name, device in scenario.devices.items():
         planned = Counter(str(fault.__struct_config__.tag) for fault in device.faults)
-        begun = Counter(str(report.details["do"]) for report in reports[name] if report.what == "fault")
+        done_s = next((report.at_s for report in reports[name] if report.what == "done"), math.inf)
+        faults = [(report.details["do"], report.at_s) for report in reports[name] if report.what == "fault"]
+        begun = Counter(do for do, at_s in faults if do not in _OF_MESSAGES or at_s <= done_s)
         for do, n in (planned - begun).items():
-            yield f"{n} of {planned[do]} faults '{do}' of '{name}' did not begin"
+            when = " before its last message" if do in _OF_MESSAGES else ""
+            yield f"{n} of {planned[do]} faults '{do}' of '{name}' did not begin{when}"

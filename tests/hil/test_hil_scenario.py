@@ -136,6 +136,8 @@ def test_what_a_driver_of_a_plug_in_raises_and_counts_is_its_own_affair(monkeypa
 
 
 STALLED = {"sonar": [], "nav": [Report(1.0, "fault", {"do": "stall"})]}
+DONE, FREEZE = Report(1.0, "done", {}), Report(1.0, "fault", {"do": "freeze"})
+FROZEN = "freeze"  # in place of a stall
 STEPS = "host_clock_step: {at_s: 4, by_s: 1}"
 
 
@@ -144,6 +146,13 @@ STEPS = "host_clock_step: {at_s: 4, by_s: 1}"
     [
         ("", (STALLED, [], 0, 5.0), []),
         ("", ({"sonar": [], "nav": []}, [], 0, 5.0), ["1 of 1 faults 'stall' of 'nav' did not begin"]),
+        ("", ({**STALLED, "nav": [DONE, *STALLED["nav"]]}, [], 0, 5.0), []),
+        (FROZEN, ({"sonar": [], "nav": [FREEZE, DONE]}, [], 0, 5.0), []),
+        (
+            FROZEN,
+            ({"sonar": [], "nav": [DONE, FREEZE._replace(at_s=1.1)]}, [], 0, 5.0),
+            ["1 of 1 faults 'freeze' of 'nav' did not begin before its last message"],
+        ),
         ("", (STALLED, ["fake device 'nav'"], 0, 5.0), ["fake device 'nav' ended on the way"]),
         ("restarts_s: [1]", (STALLED, [], 0, 5.0), ["the service was started again 0 of 1 times"]),
         ("restarts_s: [1]", (STALLED, [], 1, 5.0), []),
@@ -152,7 +161,8 @@ STEPS = "host_clock_step: {at_s: 4, by_s: 1}"
     ],
 )
 def test_what_a_run_did_not_do_of_its_scenario_is_listed(changed: str, ran: Any, words: list[str]) -> None:
-    assert list(undone(parse_scenario(f"{SOUND}\n{changed}\n", "here"), *ran)) == words
+    text = SOUND.replace("do: stall", "do: freeze") if changed == FROZEN else f"{SOUND}\n{changed}\n"
+    assert list(undone(parse_scenario(text, "here"), *ran)) == words
 
 
 def test_targets_cannot_be_expected_of_a_log() -> None:
