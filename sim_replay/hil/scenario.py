@@ -203,6 +203,8 @@ def _contradictions(scenario: Scenario) -> Iterator[str]:
         yield "`power_cut_every` and `host_clock_step` each run the service in a way of their own: give one of them"
     if scenario.ends_after is not None and scenario.ends_after.device not in scenario.devices:
         yield f"`ends_after` names '{scenario.ends_after.device}', which is none of `devices`"
+    if scenario.ends_after is not None and not is_report(scenario.ends_after.what):
+        yield f"`ends_after` waits for a report '{scenario.ends_after.what}', which no fake device makes"
     for name in scenario.devices:
         if not _DEVICE_NAME.fullmatch(name):
             yield f"`devices.{name}`: a name has small letters, digits and underscores"

@@ -83,6 +83,7 @@ def test_the_service_gets_the_devices_addresses_and_a_folder_for_its_results(tmp
         ("do: stall", "do: explode", "explode"),
         ("for_s: 2", "for_s: 2, rates: {}", "rates"),
         ("at_s: 1,", "at_s: 5,", r"`devices\.nav\.faults\[0\]` is due at 5 s, when the run is over"),
+        ("run_s: 5", "run_s: 5\nends_after: {device: nav, what: dnoe, after_s: 1}", "waits for a report 'dnoe'"),
         ("run_s: 5", "run_s: 5\nhost_clock_step: {at_s: 6, by_s: 1}", "`host_clock_step` is due at 6 s"),
         ("run_s: 5", "run_s: 5\nwaits: true\nrestarts_s: [1]\npower_cut_every: 2", "none would be a power cut"),
         ("do: stall, at_s: 1, for_s: 2", "do: damage, at_s: 1, rates: {}", "'damage' changes nothing"),
