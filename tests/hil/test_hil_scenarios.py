@@ -12,7 +12,7 @@ from auv_mcm.cli import main
 from sim_replay.hil.scenario import shipped
 from tests.golden.answers import read_stored
 
-# The longest first, for several at a time: kills on the way, a mission without faults, live JSF whose cable is pulled, a
+# The longest first, for several at a time: kills, a mission without faults, live JSF whose cable is pulled, a
 # vehicle, and one of each kind of fault, 30 s of processor time or less each. A survey, a kill under a vehicle and
 # vehicles on other wires fail where several run at once on two cores: they are in `auv-mcm hil --all`. Further kills
 # are in test_hil_kill.py, protocols in tests/drivers/vehicle.
