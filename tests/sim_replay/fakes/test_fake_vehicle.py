@@ -282,8 +282,11 @@ def test_a_target_is_passed_where_it_comes_abeam_on_a_straight_run() -> None:
         ("{a: {device: bluefin, faults: [{do: abort, at_s: 1}]}}", "cannot be aborted"),
         ("{a: {device: imc}, nav: {device: pd6, faults: [{do: stall, at_s: 1, after: grant}]}}", "not a vehicle"),
         ("{a: {device: imc, faults: [{do: freeze, at_s: 1}]}}", "not a navigation unit"),
-        ("{a: {device: imc}, nav: {device: pd6, faults: [{do: misreport, at_s: 1}]}}", "not a vehicle"),
-        ("{a: {device: imc}, s: {device: jsf, faults: [{do: offset, at_s: 1}]}}", "not a navigation unit"),
+        (
+            "{a: {device: imc}, nav: {device: pd6, faults: [{do: misreport, at_s: 1, no_altitude: true}]}}",
+            "not a vehicle",
+        ),
+        ("{a: {device: imc}, s: {device: jsf, faults: [{do: offset, at_s: 1, east_m: 5}]}}", "not a navigation unit"),
     ],
 )
 def test_a_vehicle_that_cannot_be_is_refused(devices: str, named: str, tmp_path: Path) -> None:
