@@ -237,7 +237,7 @@ def _reasons(p_mine: float, kind: str, codes: Sequence[str]) -> tuple[str, str]:
     chosen_for = [code for code in codes if bearing(code) == "for" and not is_half_seen]
     reason_against = _phrase(against[0]) if against else ""
     if against and against[0] in _NOT_TRACED and "highlight_and_shadow" in codes:
-        reason_against = "echo and shadow hardly stand out from the sea floor around them"
+        reason_against = "its echo and shadow could not be traced in the sea floor around"
     reason_for = f"echo and shadow fit a {plain_kind(kind)}" if kind and not is_half_seen else ""
     reason_for = reason_for or (_phrase(chosen_for[0]) if chosen_for else "")
     if p_mine >= RATHER_A_MINE_P and not reason_for:

@@ -66,7 +66,7 @@ def run_scenario(read: Read, folder: Path, progress: Callable[[str], None]) -> E
     scenario = read.scenario
     results = folder / RESULTS / "latest"
     for path in (results, folder / VERDICT, folder / JUNIT):
-        path.unlink(missing_ok=True)  # of an earlier run, which is no evidence of this one, however it ends
+        path.unlink(missing_ok=True)  # of an earlier run, which proves nothing of this one, however it ends
     progress("mission")
     jobs: list[Job] | list[VehicleJob]
     if scenario.vehicle is None:

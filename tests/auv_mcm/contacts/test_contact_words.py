@@ -84,7 +84,7 @@ def test_a_code_of_one_view_in_three_gives_no_reason() -> None:
 @pytest.mark.parametrize("lost", [("no_shadow",), ("no_highlight",), ("no_shadow", "no_highlight")])
 def test_what_has_echo_and_shadow_is_not_said_to_lack_one(lost: tuple[str, ...]) -> None:
     found = said(belief={"unknown": 1.0}, view_reasons=[("highlight_and_shadow", *lost)])
-    assert found.reason_against == "echo and shadow hardly stand out from the sea floor around them"
+    assert found.reason_against == "its echo and shadow could not be traced in the sea floor around"
     assert said(belief={"unknown": 1.0}, view_reasons=[lost[:1]]).reason_against != found.reason_against
 
 
