@@ -59,7 +59,7 @@ class Verdict(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, for
     object: names the object within its file, `V0001` and on. time: ISO 8601 UTC of the judgement; by: who judged.
     contact_id, p_mine: the contact it was then, and what the chain said; empty and None for a drawn one. drawn: the
     chain had missed it. type: what it is, in the analyst's word. Sizes in m, as measured by hand. side, ground_range_m,
-    view_time: where it was seen. withdrawn: earlier verdicts of this object do not count any more.
+    view_time: where it was seen. withdrawn: earlier verdicts of this object by the same person do not count any more.
     """
 
     object: Annotated[str, Meta(pattern=r"^V[0-9]{4,9}$")]
@@ -162,18 +162,19 @@ def read_verdicts(folder: Path) -> tuple[Verdict, ...]:
 
 
 def newest_verdicts(verdicts: Iterable[Verdict]) -> dict[str, Verdict]:
-    """Keep the last verdict of each object, by object, without those withdrawn.
+    """Keep the last verdict of each object, by object, without those that whoever gave them withdrew.
 
     Objects at the very same place, as two people judged one contact in copies of the results, are one: the last counts.
     """
-    last: dict[str, Verdict] = {}
-    for verdict in verdicts:
-        last.pop(verdict.object, None)
-        last[verdict.object] = verdict
-    kept = [verdict for verdict in last.values() if not verdict.withdrawn]
-    by_place = {(verdict.latitude_deg, verdict.longitude_deg): verdict.object for verdict in kept}
-    one_each = set(by_place.values())
-    return {verdict.object: verdict for verdict in sorted(kept, key=_number) if verdict.object in one_each}
+    newest: dict[str, Verdict] = {}
+    taken_back: set[tuple[str, str]] = set()  # objects, and by whom
+    for verdict in reversed(tuple(verdicts)):
+        if verdict.withdrawn:
+            taken_back.add((verdict.object, verdict.by))
+        elif (verdict.object, verdict.by) not in taken_back:
+            newest.setdefault(verdict.object, verdict)
+    by_place = {(one.latitude_deg, one.longitude_deg): one.object for one in reversed(newest.values())}
+    return {name: newest[name] for name in sorted(by_place.values(), key=lambda name: _number(newest[name]))}
 
 
 class Judged(NamedTuple):

@@ -82,13 +82,6 @@ class Judgement(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     generation: int | None = None
 
 
-class Judged(NamedTuple):
-    """Hold all verdicts of the mission. by_contact: those that belong to contacts of these results."""
-
-    verdicts: tuple[Verdict, ...]
-    by_contact: dict[str, Verdict]
-
-
 class ReplayAgain(NamedTuple):
     """Hold what a mission is shown from once more: its waterfall, and a replay that looks for contacts."""
 
@@ -204,7 +197,7 @@ class ShownMission:
             "mine_like_p": MINE_LIKE_P,
             "near_m": NEAR_M,
             "verdicts": len(self._verdicts),
-            "judged": learning_words(self.judged().by_contact.values()),
+            "judged": learning_words(self.judged().values()),
             "max_comment": MAX_COMMENT,
             "generation": self.generation,
             "replay_again": self._again is not None and self.feed.is_done and not self._is_replaying(),
@@ -214,7 +207,7 @@ class ShownMission:
         """List all contacts as columns, every object that people judged, and structures that contacts are part of."""
         found = self._overviews
         rows = self.store.rows_at([contact.seen for contact in found])
-        by_contact = self.judged().by_contact
+        by_contact = self.judged()
         shown = {verdict.object for verdict in by_contact.values()}
         return _finite(
             {
@@ -246,7 +239,7 @@ class ShownMission:
         feature = self._contacts.features.get(name)
         if feature is None:
             return None
-        history = self.judged().by_contact.get(name)
+        history = self.judged().get(name)
         verdicts = [] if history is None else [v for v in self._verdicts if v.object == history.object]
         place = overview(feature)
         views = feature["properties"].get("views") or []
@@ -262,13 +255,13 @@ class ShownMission:
             }
         )
 
-    def judged(self) -> Judged:
-        """Match verdicts with the contacts of these results."""
+    def judged(self) -> dict[str, Verdict]:
+        """Match verdicts with the contacts of these results, by id."""
         version = (self._verdict_version, self._contacts.version)
         if self._matched[0] != version:
             places = [contact.place for contact in self._overviews]
             self._matched = version, match_verdicts(self._verdicts, places)
-        return Judged(self._verdicts, self._matched[1])
+        return self._matched[1]
 
     def judge(self, judgement: Judgement) -> Verdict:
         """Write a verdict down, beside those of other pages.
@@ -403,7 +396,7 @@ class ShownMission:
             if feature is None:
                 raise UsageError(f"there is no contact '{clean(judgement.contact_id)}' in these results")
             contact = overview(feature)
-            earlier = self.judged().by_contact.get(contact.id)
+            earlier = self.judged().get(contact.id)
             if not math.isfinite(contact.place.latitude_deg):
                 raise UsageError(f"{contact.id} has no position, so that its verdict could not be found again")
             about = _about(contact, str(feature["properties"].get("time") or ""))
@@ -430,6 +423,9 @@ class ShownMission:
             withdrawn=judgement.withdrawn,
             **about,
         )
+        if verdict.withdrawn and (earlier is None or earlier.by != verdict.by):
+            why = "there is no verdict of yours" if earlier is None else f"{earlier.by} judged this"
+            raise UsageError(f"{why}: nobody withdraws what others judged. Judge it yourself: the last verdict counts.")
         if verdict.drawn and earlier is None:
             self._check_apart(verdict)
         return verdict

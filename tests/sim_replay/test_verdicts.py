@@ -58,6 +58,17 @@ def test_the_last_verdict_of_an_object_counts_and_a_withdrawn_one_does_not() -> 
     judged = [verdict("V0001", call="mine_like"), verdict("V0002"), verdict("V0001", call="not_mine_like")]
     assert newest_verdicts(judged)["V0001"].call == "not_mine_like"
     assert set(newest_verdicts([*judged, verdict("V0001", withdrawn=True)])) == {"V0002"}
+    again = verdict("V0001", call="mine_like")
+    assert newest_verdicts([*judged, verdict("V0001", withdrawn=True), again])["V0001"] == again
+
+
+def test_whoever_withdraws_takes_back_what_they_judged_and_nobody_elses_verdict() -> None:
+    kim, lee = verdict("V0001", call="mine_like"), verdict("V0001", call="not_mine_like", by="lee")
+    assert newest_verdicts([kim, lee, verdict("V0001", by="lee", withdrawn=True)]) == {"V0001": kim}
+    assert newest_verdicts([kim, lee, verdict("V0001", withdrawn=True)]) == {"V0001": lee}
+    # one object under two names: of the verdicts that are left the later line counts
+    of_copy = verdict("V90001", call="undecided", by="ann")
+    assert newest_verdicts([kim, of_copy, lee, verdict("V0001", by="lee", withdrawn=True)]) == {"V90001": of_copy}
 
 
 def test_a_line_that_was_cut_off_loses_nothing_else(tmp_path: Path) -> None:

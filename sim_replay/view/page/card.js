@@ -93,7 +93,7 @@ export function contactCard(handlers) {
       + (verdict.comment ? ` – ${verdict.comment}` : ""))))];
   }
 
-  function form(contact, max) {
+  function form(contact, {max_comment: max, by}) {
     const list = element("datalist", {id: "types"}, ...TYPES.map((name) => element("option", {value: name})));
     const type = element("input", {type: "text", id: "type", maxLength: 64, placeholder: "type", value: plain(contact.type), "aria-label": "type"});
     type.setAttribute("list", "types");
@@ -104,7 +104,7 @@ export function contactCard(handlers) {
     return [
       element("div", {className: "judge"}, button("mine_like", "m"), button("not_mine_like", "n"), button("undecided", "u"), type, list,
         element("button", {id: "save", onclick: () => save({})}, "save"),
-        contact.call ? element("button", {id: "withdraw", onclick: () => save({withdrawn: true})}, "withdraw") : null),
+        contact.call && contact.by === by ? element("button", {id: "withdraw", onclick: () => save({withdrawn: true})}, "withdraw") : null),
       comment,
       element("p", {id: "sizes", className: "soft"}),
     ];
@@ -141,9 +141,9 @@ export function contactCard(handlers) {
   }
 
   // Both what the list has and what the results say; details come a moment later, or never for a drawn object.
-  function show(contact, details, max) {
+  function show(contact, details, state) {
     if (isPressed) {
-      waiting = [contact, details, max];
+      waiting = [contact, details, state];
       return;
     }
     const isSame = shown && contact && shown.contact.key === contact.key;
@@ -166,7 +166,7 @@ export function contactCard(handlers) {
       element("div", {className: "top"}, element("h2", {}, contact.id), element("span", {className: contact.likely ? "mine" : "soft"}, kind),
         element("span", {className: "space"}), element("button", {onclick: () => handlers.close()}, "close ", element("kbd", {}, "Esc"))),
       element("div", {className: "columns"}, image, front(details, contact)),
-      ...form(contact, max),
+      ...form(contact, state),
       ...(contact.drawn ? [] : [more]),
     );
     if (kept) restore(kept);

@@ -187,7 +187,7 @@ async function loadDetails(key) {
 
 function showCard() {
   const contact = selected && find(selected);
-  card.show(contact || null, details, state.max_comment);
+  card.show(contact || null, details, state);
   waterfall.redraw();
 }
 

@@ -17,7 +17,7 @@ from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.records import SIDES
 from auv_mcm.shell.health.files import HEALTH
 from sim_replay.replay import replay
-from sim_replay.verdicts import VERDICTS_FILE, newest_verdicts, read_verdicts
+from sim_replay.verdicts import VERDICTS_FILE, append_verdict, newest_verdicts, read_verdicts
 from sim_replay.view.background_replay import BackgroundReplay
 from sim_replay.view.mission import Judgement, ReplayAgain, ShownMission
 from sim_replay.view.mission_feed import MissionFeed
@@ -199,6 +199,18 @@ def test_a_withdrawn_verdict_is_gone_from_the_list_and_kept_in_the_file(tmp_path
     mission.judge(Judgement(contact_id="C00001", withdrawn=True))
     assert mission.contacts()["verdicts"] == {}
     assert len(read_verdicts(tmp_path)) == 2
+    with pytest.raises(UsageError, match="no verdict of yours"):
+        mission.judge(Judgement(contact_id="C00001", withdrawn=True))
+
+
+def test_nobody_withdraws_what_somebody_else_judged(tmp_path: Path) -> None:
+    mission = shown(write_results(tmp_path, [feature(1)]))
+    judged = mission.judge(Judgement(contact_id="C00001", call="mine_like"))
+    append_verdict(tmp_path, msgspec.structs.replace(judged, by="lee", call="not_mine_like"))
+    with pytest.raises(UsageError, match="lee judged this"):
+        mission.judge(Judgement(contact_id="C00001", withdrawn=True))
+    mission.refresh()
+    assert mission.contacts()["verdicts"]["C00001"]["call"] == "not_mine_like"
 
 
 def test_verdicts_survive_another_replay_by_place(tmp_path: Path) -> None:
