@@ -103,7 +103,7 @@ async function poll() {
     if (now.done !== before.done || now.live !== before.live || (now.live && now.stop_row !== before.stop_row)) map.setLayers(await get("api/layers"));
     if (now.contacts_version !== before.contacts_version || now.verdicts_version !== before.verdicts_version
       || now.stop_row !== before.stop_row) await loadContacts();
-    byId("message").hidden ||= byId("message").dataset.lost !== "yes";
+    byId("message").hidden ||= byId("message").dataset.lost === "yes";
     byId("message").dataset.lost = "";
   } catch (error) {
     byId("message").dataset.lost = "yes";

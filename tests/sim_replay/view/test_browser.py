@@ -267,8 +267,18 @@ def test_what_was_drawn_has_the_time_it_was_judged_at(tmp_path: Path) -> None:
         assert "null" not in text
         assert "undefined" not in text
         assert "kim: mine-like" in text
-        # on a small screen the card of a contact that is chosen is in sight, and the header is a line
+        # a message stays to be read, however often the page asks the server meanwhile
         await page.press("Escape")
+        await page.press("l")
+        for across_m in (6.0, 8.0):
+            await click_at(page, 260.0, across_m)
+        await page.wait_for("!document.querySelector('#message').hidden")
+        for _ in range(2):
+            await page.evaluate("window.before = bench.state, 0")
+            await page.wait_for("bench.state !== window.before")
+        assert "choose a contact" in await page.evaluate("document.querySelector('#message:not([hidden])').textContent")
+        await page.press("Escape")
+        # on a small screen the card of a contact that is chosen is in sight, and the header is a line
         size = {"width": 390, "height": 844, "deviceScaleFactor": 1, "mobile": False}
         await page.command("Emulation.setDeviceMetricsOverride", **size)
         await page.wait_for("innerWidth === 390")
