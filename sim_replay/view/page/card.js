@@ -194,6 +194,19 @@ export function contactCard(handlers) {
       drawSizes();
     },
     judge(call) { if (shown) save({call}); },
+    // What is written or measured and not saved, and where; null for nothing.
+    get draft() {
+      if (!shown) return null;
+      const {latitude, longitude, type, comment} = shown.contact, typed = byId("type").value, written = byId("comment").value;
+      if (typed === plain(type) && written === comment && !Object.keys(measured).length) return null;
+      return {latitude, longitude, type: typed, comment: written, measured};
+    },
+    take(draft) {
+      byId("type").value = draft.type;
+      byId("comment").value = draft.comment;
+      measured = draft.measured;
+      drawSizes();
+    },
     get current() { return shown && shown.contact; },
   };
 }

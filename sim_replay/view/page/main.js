@@ -149,7 +149,27 @@ async function loadContacts() {
   list.setContacts(contacts);
   if (wanted && find(wanted) && find(wanted).row !== null) seek(wanted);
   if (selected) showCard();
+  else takeDraft();
 }
+
+// What was not saved when the page was loaded again, as after a replay, goes to what lies at the same place now.
+let isDraftAsked = false;
+async function takeDraft() {
+  const draft = JSON.parse(sessionStorage.getItem("draft") || "null");
+  if (!draft || isDraftAsked) return;
+  const north = Math.PI * 6371000 / 180, east = north * Math.cos(draft.latitude * Math.PI / 180);
+  const away = (one) => Math.hypot((one.latitude - draft.latitude) * north, (one.longitude - draft.longitude) * east);
+  const near = contacts.filter((one) => away(one) <= state.near_m).sort((a, b) => away(a) - away(b))[0];
+  if (near) {
+    sessionStorage.removeItem("draft");
+    select(near.key);
+    card.take(draft);
+  } else if (state.replay_done) {
+    isDraftAsked = true;
+    if (await ask(`This was not saved, and no contact lies there any more: ${draft.type} ${draft.comment}. Forget it?`)) sessionStorage.removeItem("draft");
+  }
+}
+addEventListener("pagehide", () => { if (card.draft) sessionStorage.setItem("draft", JSON.stringify(card.draft)); });
 
 const judgedPart = (verdict) => (verdict ? {
   call: verdict.call, type: verdict.type, comment: verdict.comment, by: verdict.by, object: verdict.object,

@@ -321,7 +321,7 @@ def test_a_late_answer_takes_nobody_back_to_the_object_judged_before(
     in_browser(mission, visit)
 
 
-def test_what_was_begun_about_a_contact_goes_to_no_other_of_its_id_after_a_replay(tmp_path: Path) -> None:
+def test_what_was_begun_about_a_contact_goes_on_after_a_replay_and_to_no_other_of_its_id(tmp_path: Path) -> None:
     store = sea_floor()
     mission = shown(write_results(tmp_path, [feature(1, OBJECT_ROW, OBJECT_M)]), store)
 
@@ -331,7 +331,12 @@ def test_what_was_begun_about_a_contact_goes_to_no_other_of_its_id_after_a_repla
         await page.press("c")
         await page.write("a mine")
         write_results(tmp_path, [feature(1, 400.0, -10.0), feature(2, OBJECT_ROW, OBJECT_M)])
-        await page.wait_for("window.bench && bench.contacts.length === 2")
+        await page.wait_for("window.bench && bench.contacts.length === 2 && bench.selected === 'C00002'")
+        assert await page.evaluate("document.querySelector('#comment').value") == "a mine"
+        # where nothing lies any more, what was written is shown, and given to nobody
+        write_results(tmp_path, [feature(1, 400.0, -10.0)])
+        await page.wait_for("window.bench && bench.contacts.length === 1 && document.querySelector('#ask').open")
+        assert "a mine" in await page.evaluate("document.querySelector('#question').textContent")
         assert await page.evaluate("bench.selected") is None
 
     in_browser(mission, visit)
