@@ -24,8 +24,8 @@ class MapPicture(NamedTuple):
     box: Box
 
 
-def map_picture(mosaic: Mosaic, max_bytes: int = MAX_BYTES) -> MapPicture | None:
-    """Encode the mosaic at the finest resolution within `max_bytes`, None for an empty one. The mosaic is used up."""
+def map_picture(mosaic: Mosaic) -> MapPicture | None:
+    """Encode the mosaic at the finest resolution within MAX_BYTES, None for an empty one. The mosaic is used up."""
     for level in mosaic.levels():
         if max(level.width, level.height) > 2 * _MAX_SIDE:
             continue
@@ -35,6 +35,6 @@ def map_picture(mosaic: Mosaic, max_bytes: int = MAX_BYTES) -> MapPicture | None
         picture = coloured(drawn)
         for quality in _QUALITIES:
             done, data = cv2.imencode(".webp", picture, [cv2.IMWRITE_WEBP_QUALITY, quality])
-            if done and len(data) <= max_bytes:
+            if done and len(data) <= MAX_BYTES:
                 return MapPicture(bytes(data), box)
     return None

@@ -271,9 +271,9 @@ def agreement(conflict: float) -> str:
     return f"{next(text for least, text in steps if conflict >= least)} (conflict {conflict:.2f})"
 
 
-def listed(parts: Sequence[str], last: str = "and") -> str:
+def listed(parts: Sequence[str]) -> str:
     """Join parts by commas, and the last by a word."""
-    return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} {last} {parts[-1]}" if parts else ""
+    return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}" if parts else ""
 
 
 def call_name(call: str) -> str:

@@ -145,10 +145,6 @@ def parse_contacts(document: Any, place: str) -> tuple[ReportedContact, ...]:
 
     A null geometry is a contact without a position. `place` is for messages. Raises BadInputError naming the feature
     and the key.
-
-    `place` is for messages.
-
-    Raises BadInputError naming the feature and the key.
     """
     if isinstance(document, dict) and "area_km2" in document:
         raise BadInputError(f"{place}: a truth file where contacts belong. Give each CONTACTS first, then its TRUTH")

@@ -38,16 +38,14 @@ class Density(msgspec.Struct, frozen=True, kw_only=True):
     high: float | None
 
 
-def wilson_interval(
-    count: ArrayLike, of: ArrayLike, confidence: float = CONFIDENCE
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def wilson_interval(count: ArrayLike, of: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Bound the probability behind `count` successes in `of` trials; arrays broadcast; 0..1 without trials.
 
     Wilson, "Probable inference, the law of succession, and statistical inference", JASA 22 (1927). Its coverage is near
     the nominal one on average over probabilities, not for each of them.
     """
     successes, trials = np.broadcast_arrays(np.asarray(count, dtype=np.float64), np.asarray(of, dtype=np.float64))
-    z2 = float(ndtri(0.5 + 0.5 * confidence)) ** 2
+    z2 = float(ndtri(0.5 + 0.5 * CONFIDENCE)) ** 2
     n = np.maximum(trials, 1.0)
     centre = (successes + 0.5 * z2) / (n + z2)
     half = np.sqrt(z2 * (successes * (n - successes) / n + 0.25 * z2)) / (n + z2)
@@ -57,15 +55,13 @@ def wilson_interval(
     return low, high
 
 
-def poisson_interval(
-    count: ArrayLike, confidence: float = CONFIDENCE
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Bound the mean behind `count` Poisson events; covers with `confidence` or more, whatever the mean.
+def poisson_interval(count: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Bound the mean behind `count` Poisson events; covers with CONFIDENCE or more, whatever the mean.
 
     Garwood, "Fiducial limits for the Poisson distribution", Biometrika 28 (1936).
     """
     events = np.asarray(count, dtype=np.float64)
-    tail = 0.5 * (1.0 - confidence)
+    tail = 0.5 * (1.0 - CONFIDENCE)
     low = np.where(events > 0.0, gammaincinv(np.maximum(events, 1.0), tail), 0.0)
     return low, np.asarray(gammainccinv(events + 1.0, tail), dtype=np.float64)
 

@@ -18,7 +18,7 @@ UNKNOWN = "unknown"
 
 
 class Outcome(IntEnum):
-    """Name the the outcome of one contact; `ON_CLUTTER` and `ELSEWHERE` are the false alarms."""
+    """Name the outcome of one contact; `ON_CLUTTER` and `ELSEWHERE` are the false alarms."""
 
     NOT_CALLED = 0  # p_mine below the threshold
     DETECTION = 1
@@ -32,8 +32,6 @@ class MissionLayout(NamedTuple):
     """Hold the contacts and objects that take part.
 
     Arrays are (n_contacts, n_objects), or as long as what they describe.
-
-    Arrays are (n_contacts, n_objects) or as long as what they describe.
     """
 
     contacts: tuple[ReportedContact, ...]

@@ -18,7 +18,7 @@ from sim_replay.scoring.layout import MissionLayout, lay_out
 from sim_replay.scoring.score import GATE_M, Score
 
 _BAND_SEED: Final = 1  # of missions drawn again, fixed so that bands repeat
-N_RESAMPLES: Final = 2000  # of missions: bounds of 95 % move by less than 0.01 with more
+_N_RESAMPLES: Final = 2000  # of missions: bounds of 95 % move by less than 0.01 with more
 
 Floats = NDArray[np.float64]
 
@@ -50,9 +50,7 @@ def threshold_at(false_alarms: ArrayLike, n_allowed: float, *, nothing: float = 
     return float(ordered[min(math.floor(n_allowed), len(ordered) - 1)])
 
 
-def resampled(
-    statistic: Callable[[Sequence[int]], float], n_missions: int, *, seed: int, n_resamples: int = N_RESAMPLES
-) -> Interval:
+def resampled(statistic: Callable[[Sequence[int]], float], n_missions: int, *, seed: int) -> Interval:
     """Bound a statistic of missions by drawing them again with replacement (B. Efron, Annals of Statistics 7, 1979).
 
     Parameters
@@ -63,11 +61,9 @@ def resampled(
         Their number, 1 or more.
     seed
         Of the draws, fixed so that reports repeat.
-    n_resamples
-        Number of draws.
     """
     random = np.random.Generator(np.random.PCG64(seed))
-    drawn = random.integers(0, n_missions, (n_resamples, n_missions))
+    drawn = random.integers(0, n_missions, (_N_RESAMPLES, n_missions))
     tail = 0.5 * (1.0 - CONFIDENCE)
     low, high = np.quantile([statistic(row) for row in drawn.tolist()], (tail, 1.0 - tail)).tolist()
     return Interval(statistic(range(n_missions)), low, high)
@@ -106,9 +102,9 @@ class BestScores(NamedTuple):
     area_km2: float
 
 
-def best_scores(mission: ScoredMission, gate_m: float = GATE_M) -> BestScores:
-    """Place contacts on the nearest object within the gate, on targets before others, and take the best of each."""
-    layout = lay_out(mission, gate_m)
+def best_scores(mission: ScoredMission) -> BestScores:
+    """Place contacts on the nearest object within GATE_M, on targets before others, and take the best of each."""
+    layout = lay_out(mission, GATE_M)
     on = _objects_under(layout)
     best = np.full(len(layout.objects), -math.inf)
     np.maximum.at(best, on[on >= 0], layout.p_mine[on >= 0])
@@ -139,13 +135,13 @@ def found_at(missions: Sequence[BestScores], limit_per_km2: float) -> Proportion
     return proportion(n_found, sum(len(one.targets) for one in missions))
 
 
-def banded_at(missions: Sequence[BestScores], limit_per_km2: float, *, seed: int = _BAND_SEED) -> Interval:
+def banded_at(missions: Sequence[BestScores], limit_per_km2: float) -> Interval:
     """Find Pd as `found_at` does, with the wider of two bounds of 95 %: of missions drawn again, and of targets.
 
     Wilson's, which counts targets, is the wider one where all or none are found: all drawn again agree there.
     """
     found = found_at(missions, limit_per_km2)
     drawn = resampled(
-        lambda some: found_at([missions[k] for k in some], limit_per_km2).value or 0.0, len(missions), seed=seed
+        lambda some: found_at([missions[k] for k in some], limit_per_km2).value or 0.0, len(missions), seed=_BAND_SEED
     )
     return Interval(found.value or 0.0, min(drawn.low, found.low or 0.0), max(drawn.high, found.high or 0.0))

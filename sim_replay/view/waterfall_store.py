@@ -13,7 +13,6 @@ import tempfile
 import weakref
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -61,13 +60,13 @@ class _Piece(NamedTuple):
 class WaterfallStore:
     """Take tiles in order and give pictures and poses of what is there. One thread adds, others may read."""
 
-    def __init__(self, folder: Path | None = None, max_bytes: int = MAX_BYTES, *, is_provisional: bool = False) -> None:
-        """Open a file without a name in `folder` (the system's for temporary files): it goes when the process does.
+    def __init__(self, max_bytes: int = MAX_BYTES, *, is_provisional: bool = False) -> None:
+        """Open a temporary file without a name: it goes when the process does.
 
         is_provisional: another store takes its place, so that no picture is final.
         """
         self.is_provisional = is_provisional
-        with tempfile.TemporaryFile(dir=folder) as file:
+        with tempfile.TemporaryFile() as file:
             self._descriptor = os.dup(file.fileno())
         self.close = weakref.finalize(self, os.close, self._descriptor)
         """Gives the disk space back, as the end of the store does."""
