@@ -190,7 +190,7 @@ def _context(shown: Shown) -> dict[str, Any]:
         "part_of": part_of,
         "grouped": set(part_of) - own_line,
         "missed": missed,
-        "judgement": _judgement(judged.values(), missed),
+        "judgement": _judgement(judged.values(), missed, len(alone) - len(missed)),
         "n_more_likely": len(likely_rows[_ONE_PAGE_ROWS:]),
         "n_unlisted": len(ranked) - len(listed),
         "legs": [point for point in waypoints if point.kind == "leg_exit"],
@@ -251,18 +251,21 @@ def _is_likely(contact: Contact, judged: Mapping[str, Verdict]) -> bool:
     return bool(contact.called) or is_mine_like(contact) or _call(contact, judged) == "mine_like"
 
 
-def _judgement(judged: Collection[Verdict], missed: Sequence[Verdict]) -> str:
-    """Sum up what people judged, empty if nobody did."""
+def _judgement(judged: Collection[Verdict], missed: Sequence[Verdict], n_unmatched: int) -> str:
+    """Sum up what people judged, empty if nobody did. n_unmatched: other verdicts that no contact stands for."""
     verdicts = [*judged, *missed]
-    if not verdicts:
+    if not (verdicts or n_unmatched):
         return ""
     counts = (f"{sum(one.call == call for one in verdicts)} {words.call_name(call)}" for call in CALLS)
     names = sorted({one.by for one in verdicts})
     by = ", ".join(names[:_NAMED]) + (f" and {len(names) - _NAMED} more" if len(names) > _NAMED else "")
     alone = f"; {len(missed)} of them missed: no contact stands for them" if missed else ""
+    if n_unmatched:
+        alone += f"; {n_unmatched} more unmatched: no contact stands for what was judged"
     of_contacts = [one.call for one in judged]
     enough = evidence_words([Judged(*map(of_contacts.count, CALLS))])
-    return f"{', '.join(counts)}{alone}; judged by {by}. Of this mission alone, {enough}."
+    by = f"; judged by {by}" if by else ""
+    return f"{', '.join(counts)}{alone}{by}. Of this mission alone, {enough}."
 
 
 def _facts(mission: MissionRecord, contacts: Sequence[Contact]) -> list[tuple[str, str, str]]:

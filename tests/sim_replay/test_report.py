@@ -177,13 +177,14 @@ def verdict(number: int, latitude_deg: float, **more: Any) -> Verdict:
 
 
 def judged_page(tmp_path: Path, said: str) -> list[Page]:
-    """A report and its summary, of a contact judged against the chain either way, one not judged and a missed one."""
+    """A report and its summary, of contacts judged against the chain, one not judged, a missed and an unmatched one."""
     places = {"C0001": (0.9, 55.0), "C0002": (0.1, 55.001), "C0003": (0.6, 55.002)}
     contacts = [contact(name, p, latitude_deg=lat) for name, (p, lat) in places.items()]
     verdicts = (
         verdict(1, 55.0, call="not_mine_like", type=said, comment=said, by=said),
         verdict(2, 55.001, call="mine_like", comment=said),
         verdict(3, 55.01, call="mine_like", drawn=True, type=said, comment=said),
+        verdict(4, 55.02, call="not_mine_like"),
     )
     write_report(tmp_path / "r.html", Shown(mission(verdicts=verdicts), contacts, [], [], [], {}, collected(1)))
     return [Page((tmp_path / name).read_text(encoding="utf-8")) for name in ("r.html", "one-page.html")]
@@ -199,6 +200,7 @@ def test_the_report_and_its_summary_show_what_people_judged(tmp_path: Path) -> N
     assert text.count("<title>V0003: missed</title>") == 1
     assert "V0003" in report.ids
     assert "2 mine-like, 1 not mine-like, 0 undecided; 1 of them missed" in summary.text
+    assert "; 1 more unmatched: no contact stands for what was judged" in summary.text
     shown = re.findall(r"<tr><td>(C\d+)</td>", (tmp_path / "one-page.html").read_text(encoding="utf-8"))
     assert shown == ["C0002", "C0003", "C0001"]  # judged a mine first, judged none last, and all of them there
 
