@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import codecs
 import fcntl
+import logging
 import math
 import os
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from datetime import datetime
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Final, Literal, NamedTuple, TypeAlias
 
@@ -26,6 +28,8 @@ from auv_mcm.errors import BadInputError
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import NAN, Side
 from auv_mcm.safe_files import open_for_append, open_regular
+
+log = logging.getLogger(__name__)
 
 VERDICTS_FILE: Final = "verdicts.jsonl"
 GATE_M: Final = 2.0
@@ -126,8 +130,9 @@ def append_verdict(folder: Path, verdict: Verdict, *, n_bytes: int | None = None
 def read_verdicts(folder: Path) -> tuple[Verdict, ...]:
     """Read every verdict in a folder of results, in the order of judging; none if nobody judged.
 
-    A line that was cut off, as by a power cut, is left out. Raises BadInputError naming the line for any other damage,
-    and for files put together in which one name is of two objects.
+    A line that was cut off, as by a power cut, is left out, and named in the log once unless it is the last, which may
+    still be written. Raises BadInputError naming the line for any other damage, and for files put together in which one
+    name is of two objects.
     """
     path = folder / VERDICTS_FILE
     if not path.exists():
@@ -148,6 +153,8 @@ def read_verdicts(folder: Path) -> tuple[Verdict, ...]:
             verdicts.append(msgspec.json.decode(line, type=Verdict))
         except (msgspec.MsgspecError, ValueError) as error:
             if _looks_cut_off(line, is_last=number == len(lines)):
+                if number < len(lines):
+                    _say_cut_off(path, number)
                 continue
             raise BadInputError(f"{path}, line {number}: not a verdict: {error}. Mend or remove this line.") from error
         before = last.setdefault(verdicts[-1].object, verdicts[-1])
@@ -287,6 +294,11 @@ def _ends_with_line(path: Path) -> bool:
     with open_regular(path) as file:
         file.seek(-1, os.SEEK_END)
         return file.read(1) == b"\n"
+
+
+@cache
+def _say_cut_off(path: Path, number: int) -> None:
+    log.warning("%s, line %d was cut off, as by a power cut, and is left out: judge it again", clean(str(path)), number)
 
 
 def _looks_cut_off(line: bytes, *, is_last: bool) -> bool:

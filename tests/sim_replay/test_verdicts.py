@@ -71,13 +71,18 @@ def test_whoever_withdraws_takes_back_what_they_judged_and_nobody_elses_verdict(
     assert newest_verdicts([kim, of_copy, lee, verdict("V0001", by="lee", withdrawn=True)]) == {"V90001": of_copy}
 
 
-def test_a_line_that_was_cut_off_loses_nothing_else(tmp_path: Path) -> None:
+def test_a_line_that_was_cut_off_loses_nothing_else_and_is_named_once(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     append_verdict(tmp_path, verdict("V0001"))
     with open(tmp_path / VERDICTS_FILE, "ab") as file:
         file.write(b'{"object":"V0002","ti')
     assert [one.object for one in read_verdicts(tmp_path)] == ["V0001"]
+    assert not caplog.messages  # it may still be written
     append_verdict(tmp_path, verdict("V0003"))
-    assert [one.object for one in read_verdicts(tmp_path)] == ["V0001", "V0003"]
+    for _ in range(2):
+        assert [one.object for one in read_verdicts(tmp_path)] == ["V0001", "V0003"]
+    assert ["line 2 was cut off" in message for message in caplog.messages] == [True]
 
 
 @pytest.mark.parametrize("damage", [b"nonsense", b"[1, 2]", b'{"object":"V1"}', b'{"object":"../x","by":"a"}'])
