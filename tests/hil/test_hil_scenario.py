@@ -130,6 +130,22 @@ def test_every_counter_can_be_expected() -> None:
     assert [name for name in sorted(names) if not is_counter(name, [])] == []
 
 
+def test_without_sources_every_name_passes_and_a_warning_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    for name in ("_ALL", "_FAKES"):  # as in an installation of compiled files alone
+        monkeypatch.setattr(f"sim_replay.hil.known_names.{name}", (tmp_path,))
+    rules = (
+        "notice, code: port_dwon",
+        "counter, name: pnig.gap",
+        "device, device: nav, counter: x",
+        "reported, device: nav, what: x",
+    )
+    for rule in rules:
+        assert parse_scenario(SOUND.replace("{is: exit_code}", f"{{is: {rule}, at_most: 0}}"), "here")
+    assert ["no sources" in message for message in caplog.messages] == [True]
+
+
 def test_what_a_driver_of_a_plug_in_raises_and_counts_is_its_own_affair(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sim_replay.hil.scenario.DEVICE_NAMES", ("ping_protocol",))  # as if pd6 came from elsewhere
     for rule in ("{is: notice, code: acme_tilted, at_most: 0}", "{is: counter, name: acme.tilts, at_most: 0}"):
