@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import argparse
 import sys
+import time
 from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from auv_mcm.commands import Commands, add_json_option, answer, command
 from auv_mcm.commands.tables import show_table
-from auv_mcm.errors import SelfCheckError, UsageError
+from auv_mcm.errors import HardwareError, SelfCheckError, UsageError
 
 if TYPE_CHECKING:
     from sim_replay.hil.scenario import Read
@@ -89,13 +90,17 @@ def _passed(read: Read, folder: Path, *, as_json: bool) -> list[bool]:
     """Run a scenario and answer with its verdicts; return which passed."""
     from auv_mcm.shell.whole_files import make_directory, write_file, write_json
     from sim_replay.hil.run import JUNIT, VERDICT, run_scenario  # needs the bench extra, which a list does not
-    from sim_replay.hil.verdict import as_junit, judged, table_rows
+    from sim_replay.hil.verdict import Verdict, as_junit, judged, table_rows
     from sim_replay.results_folder import kept_alone
 
     _say(f"{read.scenario.run_s:g} s of mission")
     with kept_alone(make_directory(folder)):  # or one run is judged by what another has written
-        evidence = run_scenario(read, folder, _say)
-        verdicts = judged(read.scenario.expectations, evidence)
+        began_s, mono_s = time.time(), time.monotonic()
+        try:
+            verdicts = judged(read.scenario.expectations, run_scenario(read, folder, _say))
+        except HardwareError as error:  # of one scenario, which is to cost no other
+            found = " ".join(str(error).split())
+            verdicts = [Verdict("the run takes place", "the service and its devices come up", found, passed=False)]
         passed = [verdict.passed for verdict in verdicts]
         outcomes = [verdict._asdict() for verdict in verdicts]
         if as_json:
@@ -105,7 +110,7 @@ def _passed(read: Read, folder: Path, *, as_json: bool) -> list[bool]:
             show_table("", ("", "Test", "Expected", "Found"), table_rows(verdicts), colours)
             print(flush=True)
         write_json(folder / VERDICT, outcomes)
-        write_file(folder / JUNIT, as_junit(read.name, verdicts))
+        write_file(folder / JUNIT, as_junit(read.name, verdicts, began_s, time.monotonic() - mono_s))
     return passed
 
 

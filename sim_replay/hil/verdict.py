@@ -7,7 +7,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from datetime import datetime
+from datetime import UTC, datetime
 from fnmatch import fnmatchcase
 from typing import Any, Final, NamedTuple
 from xml.etree.ElementTree import Element, SubElement, tostring
@@ -152,19 +152,25 @@ def table_rows(verdicts: Sequence[Verdict]) -> list[tuple[str, str, str, str]]:
     return [("passed" if each.passed else "FAILED", each.test, each.expected, each.found) for each in verdicts]
 
 
-def as_junit(name: str, verdicts: Sequence[Verdict]) -> bytes:
+def as_junit(name: str, verdicts: Sequence[Verdict], began_s: float, took_s: float) -> bytes:
     """Format the verdicts of a scenario as a JUnit test suite: a test case each, failures with what was found.
 
-    Characters that XML forbids are written out.
+    It has every attribute and element that strict readers ask for, in their order (windyroad's JUnit.xsd). Characters
+    that XML forbids are written out. began_s: UTC.
     """
     n_failed = sum(not verdict.passed for verdict in verdicts)
-    suite = Element(
-        "testsuite", name=clean(name), tests=str(len(verdicts)), failures=str(n_failed), errors="0", skipped="0"
-    )
+    counts = {"tests": str(len(verdicts)), "failures": str(n_failed), "errors": "0", "skipped": "0"}
+    began = f"{datetime.fromtimestamp(began_s, UTC):%Y-%m-%dT%H:%M:%S}"
+    about = {"name": clean(name), "timestamp": began, "hostname": "localhost", **counts, "time": f"{took_s:.3f}"}
+    suite = Element("testsuite", about)
+    SubElement(suite, "properties")
     for verdict in verdicts:
-        case = SubElement(suite, "testcase", classname=f"hil.{clean(name)}", name=clean(verdict.test))
+        case = SubElement(suite, "testcase", classname=f"hil.{clean(name)}", name=clean(verdict.test), time="0")
         if not verdict.passed:
-            SubElement(case, "failure", message=clean(f"expected: {verdict.expected}; found: {verdict.found}"))
+            found = clean(f"expected: {verdict.expected}; found: {verdict.found}")
+            SubElement(case, "failure", type="expectation", message=found)
+    for output in ("system-out", "system-err"):
+        SubElement(suite, output)
     document: bytes = tostring(suite, encoding="utf-8", xml_declaration=True)
     return document
 

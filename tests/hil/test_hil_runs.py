@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -15,7 +16,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from auv_mcm.errors import HardwareError, SelfCheckError, UsageError
+from auv_mcm.errors import SelfCheckError, UsageError
 from sim_replay.commands import hil
 from sim_replay.hil.mission_time import MissionTime
 from sim_replay.results_folder import kept_alone
@@ -78,7 +79,7 @@ def test_failed_expectations_are_printed_and_set_the_exit_code(
     assert [verdict["passed"] for verdict in verdicts] == [True, False]
     suite = ElementTree.parse(tmp_path / "short" / "junit.xml").getroot()
     assert (suite.tag, suite.get("name"), suite.get("tests"), suite.get("failures")) == ("testsuite", "short", "2", "1")
-    assert [case.get("name") for case in suite] == [verdict["test"] for verdict in verdicts]
+    assert [case.get("name") for case in suite.iter("testcase")] == [verdict["test"] for verdict in verdicts]
     assert [failure.get("message") for failure in suite.iter("failure")] == [
         f"expected: {verdicts[1]['expected']}; found: {verdicts[1]['found']}"
     ]
@@ -96,17 +97,15 @@ def test_a_folder_that_another_run_writes_to_is_refused(tmp_path: Path) -> None:
         run(str(short(tmp_path)), "--out", str(tmp_path))
 
 
-def test_a_service_that_refuses_its_configuration_is_quoted_and_verdicts_of_a_run_before_are_gone(
-    tmp_path: Path,
-) -> None:
-    for name in ("verdict.json", "junit.xml"):
-        (tmp_path / "short").mkdir(exist_ok=True)
-        (tmp_path / "short" / name).write_text("all passed", "utf-8")
-    path = short(tmp_path, "link: '{nav}', device: pd6", "link: '{nav}', device: nmea2000")
-    with pytest.raises(HardwareError, match=r"ended before it was ready(.|\n)*slcan"):
-        run(str(path), "--out", str(tmp_path))
+def test_a_service_that_does_not_come_up_is_quoted_and_fails_its_scenario_and_no_other(tmp_path: Path) -> None:
+    bad = short(tmp_path, "link: '{nav}', device: pd6", "link: '{nav}', device: nmea2000").rename(tmp_path / "bad.yaml")
+    with pytest.raises(SelfCheckError, match=r"bad \(1 of 1; .*short \(1 of 2;"):
+        run(str(bad), str(short(tmp_path)), "--out", str(tmp_path))
     assert not processes_with(str(tmp_path))
-    assert not {"verdict.json", "junit.xml"} & {path.name for path in (tmp_path / "short").iterdir()}
+    (verdict,) = json.loads((tmp_path / "bad" / "verdict.json").read_bytes())
+    assert re.search("ended before it was ready.*slcan", verdict["found"])
+    (failure,) = ElementTree.parse(tmp_path / "bad" / "junit.xml").getroot().iter("failure")
+    assert verdict["found"] in str(failure.get("message"))
 
 
 def test_a_service_that_is_killed_on_the_way_is_started_again_and_goes_on_while_the_mission_waits(

@@ -165,9 +165,15 @@ def test_a_run_that_was_not_that_of_its_scenario_fails_whatever_it_expects() -> 
 
 def test_strict_readers_of_xml_take_what_a_scenario_says_in_any_characters() -> None:
     named = Expectation(test="no \x1b[31m & <\x00>", expected=LineRule(matching="\x1b", at_least=1))
-    suite = ElementTree.fromstring(as_junit("odd\x07", judged([named], evidence())))
-    assert [case.get("name") for case in suite] == ["no \\x1b[31m & <\\x00>"]
+    suite = ElementTree.fromstring(as_junit("odd\x07", judged([named], evidence()), 1.8e9, 12.34567))
+    assert [part.tag for part in suite] == ["properties", "testcase", "system-out", "system-err"]
+    assert [case.get("name") for case in suite.iter("testcase")] == ["no \\x1b[31m & <\\x00>"]
     assert (suite.get("name"), suite.get("failures")) == ("odd\\x07", "1")
+    # what JUnit.xsd, which many readers hold a report against, requires
+    assert set(suite.keys()) >= {"name", "timestamp", "hostname", "tests", "failures", "errors", "time"}
+    assert (suite.get("timestamp"), suite.get("time")) == ("2027-01-15T08:00:00", "12.346")
+    assert set(suite[1].keys()) == {"classname", "name", "time"}
+    assert set(suite[1][0].keys()) == {"type", "message"}
 
 
 @pytest.mark.parametrize(
