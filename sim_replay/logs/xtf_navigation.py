@@ -192,6 +192,7 @@ class PacketQueue:
             if (
                 wanted.position
                 and self._serves("position", packet)
+                and math.isfinite(packet.x + packet.y)
                 and (packet.x, packet.y) not in (self._last, (0, 0))
             ):
                 self._last = packet.x, packet.y

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from typing import NamedTuple
 
@@ -10,7 +11,6 @@ from msgspec.structs import replace
 
 from auv_mcm.settings.config import SonarConfig
 from sim_replay.logs.port_order import DECISIVE, PortOrderEvidence, port_order_evidence
-from sim_replay.logs.xtf_fields import number_or_nan
 from sim_replay.logs.xtf_layout import Layout
 from sim_replay.logs.xtf_navigation import Wanted
 from sim_replay.logs.xtf_pings import RawPing, Trace
@@ -123,7 +123,7 @@ def learn_fields(
     headers, place = [raw.header for raw in probe], report.place(probe[0].offset)
 
     def any_known(field: str) -> bool:
-        return any(number_or_nan(getattr(h, field)) != 0.0 for h in headers)
+        return any(math.isfinite(value) and value != 0.0 for value in (getattr(h, field) for h in headers))
 
     def all_unknown(field: str) -> bool:
         return not any_known(field)

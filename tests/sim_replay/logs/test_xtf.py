@@ -265,11 +265,12 @@ def test_units_and_signs_are_those_of_the_format(tmp_path: Path) -> None:
     assert sample.speed_mps == pytest.approx(2.0 * 0.514444, rel=1e-5)
 
 
-def test_gyro_and_ship_speed_stand_in_where_the_sensor_has_none(tmp_path: Path) -> None:
+@pytest.mark.parametrize("nothing", [0.0, math.nan])
+def test_gyro_and_ship_speed_stand_in_where_the_sensor_has_none(tmp_path: Path, nothing: float) -> None:
     path = written(tmp_path / "log.xtf")
 
     def fill(_: int, header: Any) -> None:
-        header.SensorHeading = header.SensorSpeed = 0.0
+        header.SensorHeading = header.SensorSpeed = nothing
         header.ShipGyro, header.ShipSpeed = 120.0, 4.0
 
     edit_headers(path, fill)
@@ -278,12 +279,13 @@ def test_gyro_and_ship_speed_stand_in_where_the_sensor_has_none(tmp_path: Path) 
     assert sample.speed_mps == pytest.approx(4.0 * 1852 / 3600)
 
 
-def test_vessel_positions_stand_in_and_are_reported(tmp_path: Path) -> None:
+@pytest.mark.parametrize("nothing", [0.0, math.nan])
+def test_vessel_positions_stand_in_and_are_reported(tmp_path: Path, nothing: float) -> None:
     path = written(tmp_path / "log.xtf")
 
     def move(_: int, header: Any) -> None:
         header.ShipYcoordinate, header.ShipXcoordinate = header.SensorYcoordinate, header.SensorXcoordinate
-        header.SensorYcoordinate = header.SensorXcoordinate = 0.0
+        header.SensorYcoordinate = header.SensorXcoordinate = nothing
 
     edit_headers(path, move)
     events, _ = read(path)

@@ -83,6 +83,16 @@ def test_a_position_written_behind_later_pings_is_not_lost(tmp_path: Path, n_lat
     assert len(fixes_of(read(path)[0])) == N_PINGS - n_late
 
 
+def test_a_position_that_is_repeated_is_none_whatever_packets_without_one_stand_between(tmp_path: Path) -> None:
+    path = in_packets(tmp_path / "log.xtf", 0, None)
+    data = bytearray(path.read_bytes())
+    for number, start in enumerate(packet_offsets(bytes(data))[::2]):
+        packet = pyxtf.XTFPosRawNavigation.from_buffer(data, start)
+        packet.RawXcoordinate, packet.RawYcoordinate = (math.nan, math.nan) if number % 2 else (5.0, 43.0)
+    path.write_bytes(data)
+    assert len(fixes_of(read(path)[0])) == 1
+
+
 def test_attitude_in_packets_107_stands_behind_the_height(tmp_path: Path) -> None:
     path = in_packets(tmp_path / "log.xtf", 0, None)
 
