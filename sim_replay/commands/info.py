@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from auv_mcm.clean_text import clean, clean_lines
 from auv_mcm.commands import Commands, Progress, add_config_option, command, read_config
 from auv_mcm.commands.tables import show_table
-from auv_mcm.errors import AuvMcmError, BadInputError
+from auv_mcm.errors import AuvMcmError
 
 if TYPE_CHECKING:
     from auv_mcm.settings.config import Config
@@ -90,9 +90,7 @@ def _logs_in(path: Path) -> list[Path]:
         except AuvMcmError:
             continue
         found.append(file)
-    if not found:
-        raise BadInputError(f"{path} holds neither a recorded session nor a log. Name a log, or a folder of logs.")
-    return found
+    return found or [path]  # which is said of it, and costs no other
 
 
 def _mission_notices(paths: list[Path], config: Config) -> list[dict[str, str]]:

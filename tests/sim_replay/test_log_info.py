@@ -124,9 +124,11 @@ def test_text_is_for_people_and_what_cannot_be_read_is_said(
     xtf: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "log.xtf").write_bytes(b"\x1f\x8b\x08")
-    assert main(["info", str(xtf), str(tmp_path / "log.xtf")]) == 0
+    (tmp_path / "empty").mkdir()
+    assert main(["info", str(tmp_path / "empty"), str(xtf), str(tmp_path / "log.xtf")]) == 0
     printed = capsys.readouterr().out
     assert "212 pings of 800 samples (float32)" in printed
     assert "compressed (gzip). Unpack it" in printed
+    assert "empty is a directory without a recorded session" in printed
     assert main(["info", str(tmp_path / "log.xtf")]) == 3
     assert main(["info", str(tmp_path / "nowhere")]) == 3
