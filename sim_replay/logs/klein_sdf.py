@@ -223,8 +223,9 @@ def _time_s(fields: dict[str, Any]) -> float:
 
 
 def _navigation(fields: dict[str, Any], page: _Page, report: LogReport) -> NavSample:
-    places = (place for place in (fields["laid_back"], fields["fish"], fields["ship"]) if place != (0.0, 0.0))
-    latitude_rad, longitude_rad = next(places, (0.0, 0.0))
+    places = fields["laid_back"], fields["fish"], fields["ship"]
+    given = (place for place in places if place != (0.0, 0.0) and math.isfinite(sum(place)))
+    latitude_rad, longitude_rad = next(given, (0.0, 0.0))
     latitude_deg, longitude_deg = place_of(math.degrees(latitude_rad), math.degrees(longitude_rad), report)
     heading_deg, pitch_deg, roll_deg, _ = map(number_or_nan, fields["fish_deg"])
     altitude_m, depth_m, speed_mps = number_or_nan(fields["altitude_m"]), NAN, number_or_nan(fields["speed_mps"])

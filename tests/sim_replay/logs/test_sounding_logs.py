@@ -113,6 +113,20 @@ def test_metres_of_the_map_become_degrees(
     assert place(x, y) == pytest.approx((latitude_deg, longitude_deg), abs=1e-5)
 
 
+def test_where_a_klein_fish_has_a_place_that_is_no_number_the_ships_is_taken(tmp_path: Path) -> None:
+    path = written("3000.sdf", tmp_path)
+    data, at = bytearray(path.read_bytes()), 0
+    while at < len(data):
+        struct.pack_into("<2d", data, at + 164, math.nan, math.nan)
+        at += 4 + struct.unpack_from("<I", data, at + 4)[0]
+    path.write_bytes(data)
+    found, sent = (
+        [event.latitude_deg for event in events if isinstance(event, NavSample)]
+        for events in (open_log(path, Config()), EVENTS)
+    )
+    assert found[0] == pytest.approx(sent[0])
+
+
 def test_frames_of_version_13_have_a_longer_header(tmp_path: Path) -> None:
     write_lowrance(tmp_path / "10.sl3", EVENTS, version=3)
     data = (tmp_path / "10.sl3").read_bytes()
