@@ -8,7 +8,6 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -19,6 +18,7 @@ from auv_mcm.contacts.contact_picture import coloured_levels, display_levels, en
 from auv_mcm.records import VALID, Side, Tile
 from sim_replay.mosaic_files import replaced_file
 from sim_replay.verdict_layers import MISSED, is_likely, verdict_words
+from sim_replay.view.mission_files import time_s as utc_s
 
 if TYPE_CHECKING:
     from google.protobuf.timestamp_pb2 import Timestamp
@@ -160,7 +160,7 @@ def _views(contacts: Iterable[Feature]) -> list[_View]:
         p_mine = properties["p_mine"] or 0.0
         for view in properties["views"]:
             if view["time"] is not None and view["ground_range_m"] is not None:
-                time_s = datetime.fromisoformat(view["time"]).timestamp()
+                time_s = utc_s(view["time"])
                 text = " ".join(filter(None, (f"{properties['id']} {p_mine:.4f}", verdict_words(properties))))
                 views.append(_View(view["side"], time_s, view["ground_range_m"], text, is_likely(contact)))
     return views
@@ -172,18 +172,10 @@ def _missed_views(missed: Iterable[Feature]) -> list[_View]:
     for one in missed:
         properties = one["properties"]
         if properties["time"] and properties["side"] and properties["ground_range_m"] is not None:
-            time_s = _time_s(properties["time"])
+            time_s = utc_s(properties["time"])
             text = f"{properties['id']} missed, {verdict_words(properties)}"
             views.append(_View(properties["side"], time_s, properties["ground_range_m"], text, mine_like=True))
     return views
-
-
-def _time_s(text: str) -> float:
-    """Read a time as UTC seconds since 1970, NaN where a person's file holds none."""
-    try:
-        return datetime.fromisoformat(text).timestamp()
-    except ValueError:
-        return math.nan
 
 
 def _stamp(time_s: float) -> Timestamp:

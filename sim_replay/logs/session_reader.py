@@ -30,13 +30,9 @@ from drivers.recording.session_layout import (
     SessionDescription,
 )
 
-_MAX_RECORD_BYTES: Final = 64 << 20  # far more than a chunk has; a damaged length does not claim memory
-_UNREADABLE: Final = (
-    McapError,
-    struct.error,
-    ValueError,
-    EOFError,
-)  # what the MCAP reader raises on damage; a wrong CRC is a ValueError
+MAX_RECORD_BYTES: Final = 64 << 20  # far more than a chunk has; a damaged length does not claim memory
+UNREADABLE: Final = (McapError, struct.error, ValueError, EOFError)
+"""What the MCAP reader raises on damage; a wrong CRC is a ValueError."""
 
 
 class _File(NamedTuple):
@@ -129,7 +125,7 @@ class Session:
                 whole_bytes = stream.n_bytes
                 if isinstance(record, Chunk):
                     yield record
-        except _UNREADABLE:
+        except UNREADABLE:
             torn_bytes = file.size_bytes - whole_bytes
             self.is_cut_off = True
             self.counters["session.files_unfinished"] += 1
@@ -143,7 +139,7 @@ class Session:
     def _messages(self, chunk: Chunk, channels: dict[int, Channel], file: _File) -> Iterator[Recorded]:
         try:
             records = _records_in(chunk)
-        except _UNREADABLE:
+        except UNREADABLE:
             self.counters["session.chunks_damaged"] += 1
             text = f"{file.path} has a damaged chunk, which is left out. Check the disk that it was recorded to."
             self.notices.append(Notice(code="session_chunk_damaged", text=text, place=str(file.path)))
@@ -154,13 +150,8 @@ class Session:
             elif isinstance(record, Message) and (channel := channels.get(record.channel_id)) is not None:
                 if channel.topic == LOST_TOPIC:
                     self._note_lost(msgspec.json.decode(record.data, type=Lost), file)
-                elif (direction := channel.metadata.get("direction")) in get_args(Direction):
-                    if self._is_read(record.sequence, file):
-                        continue
-                    stamp = Stamp(mono_ns=record.publish_time, utc_ns=record.log_time)
-                    yield Recorded(
-                        channel.metadata.get("port", channel.topic), cast(Direction, direction), stamp, record.data
-                    )
+                elif (recorded := recorded_in(record, channel)) and not self._is_read(record.sequence, file):
+                    yield recorded
 
     def _is_read(self, sequence: int, file: _File) -> bool:
         """Check whether a message was read before: where the disk failed it may have been recorded twice."""
@@ -186,6 +177,15 @@ class Session:
             f"within {(lost.last.mono_ns - lost.first.mono_ns) / 1e9:.1f} s. A replay differs from the mission there."
         )
         self.notices.append(Notice(code="session_bytes_lost", text=text, place=str(file.path)))
+
+
+def recorded_in(message: Message, channel: Channel) -> Recorded | None:
+    """Return the bytes of a port that a message holds; None for one that holds anything else."""
+    direction = channel.metadata.get("direction")
+    if channel.topic == LOST_TOPIC or direction not in get_args(Direction):
+        return None
+    stamp = Stamp(mono_ns=message.publish_time, utc_ns=message.log_time)
+    return Recorded(channel.metadata.get("port", channel.topic), cast(Direction, direction), stamp, message.data)
 
 
 def recorded_config(session: Session) -> Config:
@@ -216,7 +216,7 @@ class _WholeReads:
 
 
 def _records(stream: _WholeReads) -> Iterator[McapRecord]:
-    yield from StreamReader(cast(IO[bytes], stream), emit_chunks=True, record_size_limit=_MAX_RECORD_BYTES).records
+    yield from StreamReader(cast(IO[bytes], stream), emit_chunks=True, record_size_limit=MAX_RECORD_BYTES).records
 
 
 def _records_in(chunk: Chunk) -> list[McapRecord]:
@@ -243,7 +243,7 @@ def _read_head(path: Path) -> FileHead:
         raise BadInputError(
             f"{path}: its head is not that of a session: {error}. It was recorded by another version."
         ) from error
-    except _UNREADABLE as error:
+    except UNREADABLE as error:
         raise BadInputError(
             f"{path} is not a recorded session, or nothing is left of it: {error}. Name a session's folder or file."
         ) from error

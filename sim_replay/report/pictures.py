@@ -25,7 +25,6 @@ from auv_mcm.contacts.contact_picture import (
     encoded,
     snippet_picture,
 )
-from auv_mcm.contacts.contact_picture import snippet_png as snippet_png
 from auv_mcm.records import LOW_RESOLUTION, TURN, VALID, Detection, Side, Tile
 
 MAX_PIXELS: Final = 12_000_000  # kept: a pixel takes 0.17 to 0.24 bytes of JPEG at the lowest quality, so no more fit

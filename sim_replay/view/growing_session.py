@@ -2,28 +2,23 @@
 
 from __future__ import annotations
 
-import struct
 import threading
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import IO, BinaryIO, Final, cast, get_args
+from typing import IO, BinaryIO, Final, cast
 
-from mcap.exceptions import McapError
 from mcap.records import Channel, Chunk, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
 
-from auv_mcm.clock import Stamp
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import Notice
 from auv_mcm.safe_files import open_regular
-from drivers.recording.session_layout import FILE_PATTERN, LOST_TOPIC, SEQUENCE_SPAN, Direction, PartEnd, Recorded
+from drivers.recording.session_layout import FILE_PATTERN, SEQUENCE_SPAN, PartEnd, Recorded
 from sim_replay.logs.session_parts import recordings_of
-from sim_replay.logs.session_reader import Session
+from sim_replay.logs.session_reader import MAX_RECORD_BYTES, UNREADABLE, Session, recorded_in
 
 POLL_S: Final = 0.25  # s between two looks for new bytes; the recorder makes them durable twice a second
-_MAX_RECORD_BYTES: Final = 64 << 20  # far more than a chunk has; a damaged length does not claim memory
-_UNREADABLE: Final = (McapError, struct.error, ValueError, EOFError)
 
 
 class GrowingSession:
@@ -87,7 +82,7 @@ class GrowingSession:
         with open_regular(path, buffering=0) as file:
             stream = _PatientReads(file, lambda: self._end_of(path), lambda: self._stop.wait(POLL_S))
             try:
-                reader = StreamReader(cast(IO[bytes], stream), emit_chunks=True, record_size_limit=_MAX_RECORD_BYTES)
+                reader = StreamReader(cast(IO[bytes], stream), emit_chunks=True, record_size_limit=MAX_RECORD_BYTES)
                 for record in reader.records:
                     if not isinstance(record, Chunk):
                         continue
@@ -97,7 +92,7 @@ class GrowingSession:
                             channels[held.id] = held
                         elif isinstance(held, Message):
                             yield from self._new(held, channels)
-            except _UNREADABLE as error:
+            except UNREADABLE as error:
                 self._is_cut_off = True
                 if self._stop.is_set():
                     return
@@ -107,10 +102,11 @@ class GrowingSession:
 
     def _new(self, message: Message, channels: dict[int, Channel]) -> Iterator[Recorded]:
         """Give what a message holds, unless it was read before: where the disk failed it may be recorded twice."""
-        for recorded in _recorded(message, channels):
-            if (message.sequence - self._next_sequence) % SEQUENCE_SPAN < SEQUENCE_SPAN // 2:
-                self._next_sequence = (message.sequence + 1) % SEQUENCE_SPAN
-                yield recorded
+        channel = channels.get(message.channel_id)
+        recorded = None if channel is None else recorded_in(message, channel)
+        if recorded and (message.sequence - self._next_sequence) % SEQUENCE_SPAN < SEQUENCE_SPAN // 2:
+            self._next_sequence = (message.sequence + 1) % SEQUENCE_SPAN
+            yield recorded
 
     def _end_of(self, path: Path) -> str:
         """Say why a file grows no more; empty while it may."""
@@ -148,13 +144,3 @@ class _PatientReads:
             if not end:
                 self._wait()
         return data
-
-
-def _recorded(message: Message, channels: dict[int, Channel]) -> Iterator[Recorded]:
-    channel = channels.get(message.channel_id)
-    if channel is None or channel.topic == LOST_TOPIC:
-        return
-    direction = channel.metadata.get("direction")
-    if direction in get_args(Direction):
-        stamp = Stamp(mono_ns=message.publish_time, utc_ns=message.log_time)
-        yield Recorded(channel.metadata.get("port", channel.topic), cast(Direction, direction), stamp, message.data)
