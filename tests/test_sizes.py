@@ -30,11 +30,11 @@ class Limit(NamedTuple):
 LINES: Final = {
     "auv_mcm": Limit(42_760, 35_500),
     "drivers": Limit(18_790, 15_500),
-    "sim_replay": Limit(54_280, 42_000),
+    "sim_replay": Limit(54_290, 42_000),
     "sim_replay/augment": Limit(2_210, 2_400),
     "sim_replay/batch": Limit(630, 600),
     "sim_replay/benches": Limit(7_780, 6_000),
-    "sim_replay/commands": Limit(2_090, 700),
+    "sim_replay/commands": Limit(2_100, 700),
     "sim_replay/fakes": Limit(4_400, 3_500),
     "sim_replay/fitting": Limit(8_010, 5_200),
     "sim_replay/hil": Limit(2_710, 3_300),

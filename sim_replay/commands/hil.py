@@ -70,7 +70,7 @@ def _run(arguments: argparse.Namespace) -> int:
     if not names:
         raise UsageError("a SCENARIO is needed; 'auv-mcm hil --list' shows those that ship with the package")
 
-    failed = []
+    failed, absent = [], []
     reads = [read_scenario(name) for name in names]
     if twice := [name for name, n in Counter(read.name for read in reads).items() if n > 1]:
         raise UsageError(f"'{twice[0]}' is given twice, and each writes to {arguments.out / twice[0]}: rename a file")
@@ -78,16 +78,22 @@ def _run(arguments: argparse.Namespace) -> int:
         folder = arguments.out / read.name
         if not arguments.json:
             print(f"{read.name}: {read.scenario.about}")
-        passed = _passed(read, folder, as_json=arguments.json)
+        try:
+            passed = _passed(read, folder, as_json=arguments.json)
+        except HardwareError as error:  # of one scenario, which is to cost no other
+            absent.append(f"{read.name}: {error}")
+            continue
         if not all(passed):
             failed.append(f"{read.name} ({passed.count(False)} of {len(passed)}; see {folder})")
+    if absent:
+        raise HardwareError("; ".join(absent + failed))
     if failed:
         raise SelfCheckError(f"expectations were not met: {', '.join(failed)}")
     return 0
 
 
 def _passed(read: Read, folder: Path, *, as_json: bool) -> list[bool]:
-    """Run a scenario and answer with its verdicts; return which passed."""
+    """Run a scenario and answer with its verdicts; return which passed. Raises HardwareError if it did not come up."""
     from auv_mcm.shell.whole_files import make_directory, write_file, write_json
     from sim_replay.hil.run import JUNIT, VERDICT, run_scenario  # needs the bench extra, which a list does not
     from sim_replay.hil.verdict import Verdict, as_junit, judged, table_rows
@@ -96,9 +102,11 @@ def _passed(read: Read, folder: Path, *, as_json: bool) -> list[bool]:
     _say(f"{read.scenario.run_s:g} s of mission")
     with kept_alone(make_directory(folder)):  # or one run is judged by what another has written
         began_s, mono_s = time.time(), time.monotonic()
+        absent = None
         try:
             verdicts = judged(read.scenario.expectations, run_scenario(read, folder, _say))
-        except HardwareError as error:  # of one scenario, which is to cost no other
+        except HardwareError as error:
+            absent = error
             found = " ".join(str(error).split())
             verdicts = [Verdict("the run takes place", "the service and its devices come up", found, passed=False)]
         passed = [verdict.passed for verdict in verdicts]
@@ -111,6 +119,8 @@ def _passed(read: Read, folder: Path, *, as_json: bool) -> list[bool]:
             print(flush=True)
         write_json(folder / VERDICT, outcomes)
         write_file(folder / JUNIT, as_junit(read.name, verdicts, began_s, time.monotonic() - mono_s))
+    if absent is not None:
+        raise absent
     return passed
 
 

@@ -16,7 +16,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from auv_mcm.errors import SelfCheckError, UsageError
+from auv_mcm.errors import HardwareError, SelfCheckError, UsageError
 from sim_replay.commands import hil
 from sim_replay.hil.mission_time import MissionTime
 from sim_replay.results_folder import kept_alone
@@ -99,7 +99,7 @@ def test_a_folder_that_another_run_writes_to_is_refused(tmp_path: Path) -> None:
 
 def test_a_service_that_does_not_come_up_is_quoted_and_fails_its_scenario_and_no_other(tmp_path: Path) -> None:
     bad = short(tmp_path, "link: '{nav}', device: pd6", "link: '{nav}', device: nmea2000").rename(tmp_path / "bad.yaml")
-    with pytest.raises(SelfCheckError, match=r"bad \(1 of 1; .*short \(1 of 2;"):
+    with pytest.raises(HardwareError, match=r"(?s)bad: the service ended before it was ready.*short \(1 of 2;"):
         run(str(bad), str(short(tmp_path)), "--out", str(tmp_path))
     assert not processes_with(str(tmp_path))
     (verdict,) = json.loads((tmp_path / "bad" / "verdict.json").read_bytes())
