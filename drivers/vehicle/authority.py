@@ -30,9 +30,10 @@ class Ask(NamedTuple):
 
 
 class GiveBack(NamedTuple):
-    """Release control, or withdraw the request for it."""
+    """Release control, or withdraw the request for it. n_unanswered: requests in a row that nobody answered, if so."""
 
     reason: str
+    n_unanswered: int = 0
 
 
 Action: TypeAlias = Ask | GiveBack
@@ -57,6 +58,7 @@ class Authority:
         self._since_s = -math.inf
         self._not_before_s = -math.inf  # no request sooner
         self._gave_back_s = -math.inf
+        self._n_unanswered = 0  # requests, since the vehicle granted or withheld control last
         self._not_asked_for = False  # the vehicle believes that the payload commands, and it does not
 
     @property
@@ -91,6 +93,7 @@ class Authority:
     def granted(self, reason: str, now_s: float) -> None:
         """Take a grant of the vehicle. It counts only if control was requested."""
         if self._state == "requested":
+            self._n_unanswered = 0
             self._go("granted", reason, now_s)
         elif self._state != "granted":
             self._not_asked_for = True
@@ -99,6 +102,7 @@ class Authority:
         """Take a refusal or a revocation of control by the vehicle."""
         self._not_asked_for = False
         if self._state in ("requested", "granted"):
+            self._n_unanswered = 0
             self._not_before_s = now_s + self._ask_again_s
             self._go("revoked", reason, now_s)
 
@@ -125,7 +129,9 @@ class Authority:
                 return self.give_back(f"control was held for {self._max_control_s:g} s", now_s, pause=True)
         elif self._state == "requested":
             if since_s > ANSWER_WITHIN_S:
-                return self.give_back(f"no answer to the request for {ANSWER_WITHIN_S:g} s", now_s, pause=False)
+                self._n_unanswered += 1
+                withdrawn = self._give_back("listening", f"no answer to the request for {ANSWER_WITHIN_S:g} s", now_s)
+                return withdrawn._replace(n_unanswered=self._n_unanswered)
         elif self._state == "revoked" and now_s >= self._not_before_s:
             self._go("listening", "control may be requested again", now_s)
         if self._state in ("requested", "granted"):

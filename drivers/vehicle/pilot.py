@@ -54,11 +54,9 @@ log = logging.getLogger(__name__)
 W = TypeVar("W")
 
 _MAX_NOTICES: Final = 256  # that wait to be taken; bounds memory
-# radii of arrival from the goal, maximum, for a vehicle's own report of arrival to count
-_ARRIVED_WITHIN_RADII: Final = 5.0
-_STEER_AGAIN_S: Final = (
-    0.2  # not sooner with another heading, so that a slow wire is not asked for more than it carries
-)
+_ARRIVED_WITHIN_RADII: Final = 5.0  # of arrival, from the goal, for a vehicle's own report of arrival to count
+# s: not sooner with another heading, so that a slow wire is not asked for more than it carries
+_STEER_AGAIN_S: Final = 0.2
 _STEER_STEP_RAD: Final = math.radians(1.0)  # a heading that differs less waits for the next repetition
 _NOT_GRANTED: Final = Refusal("not_granted", "a command was to be sent without a grant")
 # refusals after which a vehicle that is commanded depths is led up: it would hold the last one until it times out
@@ -66,6 +64,7 @@ _LEADING_UP: Final = frozenset(
     {"altitude_unknown", "depth_unknown", "floor_unknown", "too_low", "too_deep", "commands_too_low"}
     | {"commands_too_deep"}
 )
+_MAX_UNANSWERED: Final = 6  # requests in a row, about a minute, after which a person is asked; chosen
 
 
 class _Plan(NamedTuple):
@@ -274,9 +273,8 @@ class Pilot(Generic[W]):
             return
         self._own["vehicle.plans"] += 1
         places_deg = tuple((waypoint.latitude_deg, waypoint.longitude_deg) for waypoint in plan)
-        if (
-            refusal := self._guard.plan(places_deg[1:], self._config.arrival_radius_m if self._may_steer else 0.0)
-        ) is not None:
+        slack_m = self._config.arrival_radius_m if self._may_steer else 0.0
+        if (refusal := self._guard.plan(places_deg[1:], slack_m)) is not None:
             self._refused(refusal)
             return
         radius_m, cut_radius_m = self._config.arrival_radius_m, self._turn_radius_m if self._may_steer else 0.0
@@ -342,9 +340,8 @@ class Pilot(Generic[W]):
         if Capability.DEPTHS_ALONE not in self._talker.capabilities or not isinstance(last, Steer):
             return
         self._command = None
-        safe_depth_m = min(
-            last.vertical.value_m, self._floor.safe_depth_m(self._config.altitude_m, now_s, self._holds_s)
-        )
+        safe_depth_m = self._floor.safe_depth_m(self._config.altitude_m, now_s, self._holds_s)
+        safe_depth_m = min(last.vertical.value_m, safe_depth_m)
         self._talker.command(last._replace(vertical=Vertical("depth", safe_depth_m)), now_s)
         self._own["vehicle.led_up"] += 1
         state = self._whereabouts.at(now_s)
@@ -415,20 +412,17 @@ class Pilot(Generic[W]):
 
     def _arrived(self) -> None:
         """Take the vehicle's report of arrival where it is plausible; it may still refer to the way-point before."""
-        plan, position = self._plan, self._whereabouts
+        plan = self._plan
         if (
             plan is None
             or self._authority.state != "granted"
             or not isinstance(self._command, GoTo)
             or plan.track.finished
+            or (self._command.latitude_deg, self._command.longitude_deg) != plan.track.target_deg
         ):
             return
-        if (self._command.latitude_deg, self._command.longitude_deg) != plan.track.target_deg:
-            return
-        if (
-            not math.hypot(*plan.track.off_track(position.position_deg))
-            > _ARRIVED_WITHIN_RADII * self._config.arrival_radius_m
-        ):
+        away_m = math.hypot(*plan.track.off_track(self._whereabouts.position_deg))
+        if not away_m > _ARRIVED_WITHIN_RADII * self._config.arrival_radius_m:
             plan.track.arrive()
 
     def _drop_plan(self, refusal: Refusal, now_s: float) -> None:
@@ -452,13 +446,20 @@ class Pilot(Generic[W]):
             case Ask():
                 self._own["vehicle.requested"] += 1
                 self._talker.request(now_s)
-            case GiveBack(reason):
+            case GiveBack(reason, n_unanswered):
                 self._command, self._joined = None, False
                 self._own["vehicle.returned"] += 1
                 self._talker.release(reason, now_s)
-                self._raise_notice(
-                    "vehicle_control_returned", f"control of the vehicle is released: {reason}", logging.INFO
-                )
+                if self._announced_state == "granted":
+                    self._raise_notice(
+                        "vehicle_control_returned", f"control of the vehicle is released: {reason}", logging.INFO
+                    )
+                if n_unanswered == _MAX_UNANSWERED:
+                    text = (
+                        f"the vehicle answered none of {n_unanswered} requests for control, and no leg is flown until "
+                        "it does. Does its mission let this payload command, and is its port set up so?"
+                    )
+                    self._raise_notice("vehicle_control_unanswered", text, logging.WARNING)
 
     def _notice_authority(self) -> None:
         """Raise a notice of a new state, once."""

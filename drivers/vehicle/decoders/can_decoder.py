@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from typing import Final, Literal
+from typing import Final, Literal, get_args
 
 from auv_mcm.clock import Stamp
 from auv_mcm.settings.vehicle_settings import CanSettings
@@ -22,14 +22,7 @@ _TURN: Final = 2.0 * math.pi
 _S_PER_NS: Final = 1e-9  # seconds per nanosecond
 
 _Quantity = Literal["heading_rad", "pitch_rad", "roll_rad", "depth_m", "altitude_m", "speed_mps"]
-_QUANTITIES: Final[tuple[_Quantity, ...]] = (
-    "heading_rad",
-    "pitch_rad",
-    "roll_rad",
-    "depth_m",
-    "altitude_m",
-    "speed_mps",
-)
+_QUANTITIES: Final[tuple[_Quantity, ...]] = get_args(_Quantity)
 
 
 class CanDecoder:

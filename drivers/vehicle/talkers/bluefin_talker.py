@@ -55,17 +55,8 @@ _PENDING_FOR_S: Final = 60.0  # s that a sentence may stay pending with the vehi
 _TIME_STEP_S: Final = (
     0.01  # between the times of two sentences, so that an answer in hundredths still identifies its sentence
 )
-_ASKED_FOR: Final = (
-    "ACK",
-    "NVG",
-    "NVR",
-    "CTL",
-    "MIS",
-    "MSC",
-    "SHT",
-    "MBS",
-    "MBE",
-)  # ACK first, for the others to be answered
+# ACK first, for the others to be answered
+_ASKED_FOR: Final = ("ACK", "NVG", "NVR", "CTL", "MIS", "MSC", "SHT", "MBS", "MBE")
 _WORDS_ON_CONTROL: Final = ("ACK", "CTL", "MIS")  # which may have been lost
 _INVALID, _, _DONE, _PENDING = "0123"
 _RUNNING: Final = "running"

@@ -41,7 +41,6 @@ _NOT_ALLOWED: Final = 0x80  # see _IN_MISSION
 _KEEP_ALIVE_S: Final = 1.0  # s between two messages, minimum, that keep the connection alive
 _ENGAGE_EVERY_S: Final = 1.0  # s between two requests for the override
 _STEP: Final = 0.01  # m of depth, and m/s, of the wire
-_ENGAGE_FOR_S: Final = 10.0  # s without the override, after which the request is given up
 
 
 class ReconTalker(AsciiTalker):
@@ -64,7 +63,7 @@ class ReconTalker(AsciiTalker):
         self._reports_wanted = bool(settings.contact_type)
         self._reports = PacedReports()
         self._orders: list[Any] = []  # to be sent next, in this order
-        self._asked_s = self._engage_s = self._disengage_s = 0.0
+        self._engage_s = self._disengage_s = 0.0
 
     def report(self, report: ContactReport, ticket: int, now_s: float) -> None:
         if self._open and self._reports_wanted:
@@ -112,7 +111,7 @@ class ReconTalker(AsciiTalker):
 
     def _ask(self, now_s: float) -> None:
         if not self._granted:
-            self._asked_s = self._engage_s = now_s
+            self._engage_s = now_s
 
     def _steer(self, steer: Steer, now_s: float) -> None:
         if steer.vertical.reference != "depth":
@@ -141,15 +140,11 @@ class ReconTalker(AsciiTalker):
             self._disengage(now_s)
 
     def _outgoing(self, now_s: float) -> list[bytes]:
-        if self._wanted and not self._granted and now_s - self._asked_s >= _ENGAGE_FOR_S:
-            self._later += self._end_of_control(f"no override within {_ENGAGE_FOR_S:.0f} s", now_s)
         records, self._orders = self._orders, []
         if self._wanted and not self._granted and now_s >= self._engage_s:
             self._engage_s = now_s + _ENGAGE_EVERY_S
-            records += [
-                ReconQuery("Depth"),
-                ReconEngage("1"),
-            ]  # a REMUS has been seen to heed nothing before it was asked something
+            # a REMUS has been seen to heed nothing before it was asked something
+            records += [ReconQuery("Depth"), ReconEngage("1")]
         if now_s >= self._health_s:
             self._health_s = now_s + _KEEP_ALIVE_S
             records.append(ReconAlive(self._health_text()))

@@ -198,6 +198,27 @@ def test_nothing_is_asked_for_without_a_plan_or_without_leave_to_command() -> No
     assert "request" not in passive.dialect.calls
 
 
+def test_a_vehicle_that_answers_no_request_is_not_commanded_and_a_person_is_asked_once() -> None:
+    sea = Sea()
+    sea.answers = False
+    sea.pilot.propose(TWO_LEGS, sea.now_s)
+    sea.tick(60.0)
+    assert sea.codes() == []
+    sea.tick(240.0)
+    assert sea.dialect.calls.count("request") > 20
+    assert sea.dialect.commands == []
+    (notice,) = sea.pilot.take_notices()
+    assert (notice.code, notice.for_the_record) == ("vehicle_control_unanswered", False)
+    sea.answers = True
+    sea.until("granted")
+    sea.tick(1.0)
+    assert sea.codes() == ["vehicle_control_granted"]
+    sea.hear(Withheld("operator"))
+    sea.answers = False
+    sea.tick(100.0)
+    assert sea.codes() == ["vehicle_control_withheld", "vehicle_control_unanswered"]
+
+
 def test_the_vehicle_takes_control_back_and_the_broken_leg_is_flown_again_later() -> None:
     sea = commanding(45.0)  # on the first leg
     assert "leg=1/2" in sea.pilot.health()

@@ -42,16 +42,6 @@ def test_no_control_without_a_running_mission_that_allows_it_in_full(mode: int) 
         assert not any(line.startswith(b"#C") for line in dialect.take_outgoing(0.3))
 
 
-def test_engaging_is_tried_for_ten_seconds() -> None:
-    dialect = asked()
-    lines = [line for i in range(130) for line in dialect.take_outgoing(0.1 * i)]
-    assert lines.count(frame("E,1")) == 10
-    assert lines[-1] != frame("E,1")
-    assert frame("E,0") in lines
-    [withheld, _] = dialect.hear(state(0x01), stamp_at(13.0))
-    assert isinstance(withheld, Withheld)
-
-
 def test_commands_are_three_goals_and_keep_the_connection_alive() -> None:
     loop = in_control("recon")
     n_sent = len(loop.sent)
