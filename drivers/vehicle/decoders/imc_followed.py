@@ -27,9 +27,10 @@ class FollowedVehicle:
     number: its IMC address, None before it is heard.
     """
 
-    def __init__(self, named: int) -> None:
-        """named: the address configured, 0 for none."""
+    def __init__(self, named: int, payload: int | None = None) -> None:
+        """named: the address configured, 0 for none. payload: our own, if it starts a plan of its own."""
         self._named = named or None
+        self._payload = payload
         self._all: dict[int, None] = {}  # vehicles heard, where none is named
         self._aborted_s = -math.inf
         self._withheld = ""  # why it is not asked, until it flies a plan of its own
@@ -41,6 +42,7 @@ class FollowedVehicle:
     def restart(self) -> None:
         """Forget whom to follow, as on a wire that was opened again."""
         self.number, self._heard_s, self._plans_s = self._named, -math.inf, -math.inf
+        self._leader, self._led_s = 0, -math.inf  # another payload that the vehicle follows
 
     def hear(self, source: int, message: ImcMessage, now_s: float, to: int = ANYONE) -> None:
         """Take a message of any source but the payload. to: whom it is addressed to."""
@@ -59,8 +61,11 @@ class FollowedVehicle:
 
         is_recent: by its time. What would let it be started counts only then.
         """
-        if isinstance(message, imc.FollowRefState) and message.state == RefState.TIMEOUT:
-            self._flies_ours = False
+        if isinstance(message, imc.FollowRefState):
+            is_over = message.state == RefState.TIMEOUT
+            self._flies_ours &= not is_over
+            is_led = self._payload is not None and message.control_src != self._payload and not is_over
+            self._leader, self._led_s = message.control_src, now_s if is_led else -math.inf
         if isinstance(message, imc.VehicleState) and message.op_mode == OpMode.EXTERNAL:
             self._withheld = "the vehicle was under external control"
         elif isinstance(message, imc.VehicleState) and message.op_mode == OpMode.BOOT:
@@ -105,6 +110,8 @@ class FollowedVehicle:
         if self.doubt or self._withheld:
             again = f"control is requested once it flies {'another' if self._sent_on else 'a plan of its own'}"
             return self.doubt or f"{self._withheld}: {again}"
+        if now_s - self._led_s <= _PLANS_VALID_S:
+            return f"the vehicle follows 0x{self._leader:04X}"
         is_silent = self.number is not None and now_s - due_s > _PLANS_VALID_S and not self._plans_are_known(now_s)
         return "the vehicle does not report its plans (PlanControlState)" if is_silent else ""
 

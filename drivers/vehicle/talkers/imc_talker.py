@@ -116,7 +116,7 @@ class ImcTalker:
         self.ends_what_is_left = True  # plans of ours from a release that was lost, or from an earlier run
         self.counters: Counter[str] = Counter()
         self._open = False
-        self._vehicle = FollowedVehicle(settings.vehicle_id)
+        self._vehicle = FollowedVehicle(settings.vehicle_id, settings.source_id if settings.own_plan else None)
         self._utc_ahead_s: float | None = None  # of the monotonic clock
         self._stage: Literal["idle", "requested", "granted"] = "idle"
         self._request_id = first_request_id - 1  # of the last request

@@ -7,9 +7,9 @@ import pytest
 from drivers.vehicle import imc_messages as imc
 from drivers.vehicle.decoders.imc_followed import PLAN_ID
 from drivers.vehicle.dialect import Withheld
-from drivers.vehicle.imc_messages import OpMode, PlanState, RefState
+from drivers.vehicle.imc_messages import OpMode, PlanOp, PlanState, PlanType, RefState
 from drivers.vehicle.imc_wire import ANYONE
-from tests.drivers.vehicle.imc_talk import OTHER, SURVEY, US, VEHICLE, Talk, follow_state
+from tests.drivers.vehicle.imc_talk import GOAL, OTHER, SURVEY, US, VEHICLE, Talk, follow_state
 
 OURS = imc.PlanControlState(PlanState.EXECUTING, PLAN_ID)
 
@@ -178,3 +178,22 @@ def test_a_vehicle_that_does_not_report_its_plans_is_not_started_and_the_request
     (event,) = talk.hear(imc.Announce("auv", 2))
     assert isinstance(event, Withheld)
     assert "PlanControlState" in event.reason
+
+
+def test_a_vehicle_that_follows_another_payload_is_not_started_until_that_one_is_done() -> None:
+    talk = Talk()
+    theirs = imc.PlanControlState(PlanState.EXECUTING, "theirs"), follow_state(of=OTHER)
+    talk.hear(*theirs)
+    assert_not_asked(talk, f"follows 0x{OTHER:04X}", *theirs)
+    talk.now_s += 1.0
+    talk.take_over()
+
+
+def test_a_vehicle_that_another_payload_takes_while_it_is_asked_is_left_to_it() -> None:
+    talk = Talk()
+    talk.dialect.request(talk.now_s)
+    assert [control.op for control in talk.sent_of(imc.PlanControl)] == [PlanOp.START]
+    (event,) = talk.hear(imc.PlanControl(PlanType.SUCCESS, PlanOp.START, 1, PLAN_ID), follow_state(of=OTHER))
+    assert isinstance(event, Withheld)
+    talk.dialect.command(GOAL, talk.now_s)
+    assert talk.sent_of(imc.Reference, 1.0) == []
