@@ -16,16 +16,14 @@ from collections.abc import Iterable
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from auv_mcm.clearance.clearance_map import HIGHEST_P, Clearance, LookModel
 from auv_mcm.clearance.detection_performance import CellView
 from auv_mcm.geometry.geodesy import LocalFrame
+from auv_mcm.plan.dubins import Array
 from auv_mcm.plan.limits import Limits
 from auv_mcm.plan.tracks import RIGHT, enterable
 from auv_mcm.records import NAN, SEABED_TYPES, Contact
-
-Array = NDArray[np.float64]
 
 NEWS: Final = 0.2  # share of a further view's information that the first has not; for planning only, chosen
 FALSE_CALL: Final = 0.1  # probability that a view calls clutter a mine; for planning only, chosen, not measured

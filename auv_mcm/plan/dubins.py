@@ -56,30 +56,18 @@ class DubinsPath(NamedTuple):
     segments: tuple[Segment, Segment, Segment]
 
 
-def dubins_path(
-    start: PlanePose, end: PlanePose, turn_radius_m: float, leave: Flags | None = None, arrive: Flags | None = None
-) -> DubinsPath:
+def dubins_path(start: PlanePose, end: PlanePose, turn_radius_m: float) -> DubinsPath:
     """Find the shortest path; of equally short ones always the same.
 
-    Parameters
-    ----------
-    leave, arrive
-        As for `dubins_lengths`, (2,).
-
-    Raises
-    ------
-    ValueError
-        If the radius is not positive, a pose is not finite or no allowed path exists.
+    Raises ValueError if the radius is not positive or a pose is not finite.
     """
     if not (turn_radius_m > 0.0 and all(map(math.isfinite, (*start, *end, turn_radius_m)))):
         raise ValueError(
             f"no path from {start} to {end} with turn radius {turn_radius_m} m: needs finite poses and a positive "
             "radius"
         )
-    leave, arrive = (None if flags is None else flags[np.newaxis] for flags in (leave, arrive))
-    (path,) = dubins_paths(np.array([[start, end]]), turn_radius_m, leave, arrive)
-    if path is None:
-        raise ValueError(f"no path from {start} to {end} with the turns that are allowed")
+    (path,) = dubins_paths(np.array([[start, end]]), turn_radius_m)
+    assert path is not None  # where every turn is allowed there is one
     return path
 
 
@@ -93,7 +81,7 @@ def dubins_paths(
     Parameters
     ----------
     leave, arrive
-        (n, 2).
+        As for `dubins_lengths`, (n, 2).
     """
     parts = _allowed_parts(ends[:, 0], ends[:, 1], turn_radius_m, leave, arrive)
     word = np.argmin(parts.sum(axis=-1), axis=0)

@@ -13,7 +13,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.plan.orienteering import MoreTime, Problem, Wanting
+from auv_mcm.plan.orienteering import Problem, Wanting
+from auv_mcm.plan.tracks import MoreTime
 
 _MAX_STAGES: Final = 4  # of ladders in a row; bounds time
 _MAX_RUNGS: Final = 40  # legs of one ladder; bounds time

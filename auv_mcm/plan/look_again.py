@@ -15,7 +15,8 @@ from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 
-from auv_mcm.clearance.area import AreaState
+from auv_mcm.clearance.area import AreaState, in_plane
+from auv_mcm.geometry.fence import circles_inside
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.plan.reinspect import Place, needs_second_look
 from auv_mcm.records import NAN, Contact, Notice, Waypoint
@@ -26,7 +27,7 @@ MAX_VAIN_LOOKS: Final = 2  # legs that brought no view, after which a contact is
 MAX_LOOKS: Final = 4  # legs flown for one contact: bounds what one contact may cost
 WAIT_FOR_VIEW_S: Final = 120.0  # from the end of a leg until its tile is complete
 _EVERY_S: Final = 5.0  # s between two requests, minimum
-_REFRESH_S: Final = 30.0  # a plan that waits for a grant begins where the vehicle was
+_REFRESH_S: Final = 30.0  # a plan that waits for a grant begins where the vehicle was, and one refused may now fit
 LEAVES_LEG_M: Final = 5.0  # and the radius of arrival: so far before its end a leg counts as flown
 _BESIDE_M: Final = 5.0  # between a leg as planned and as flown
 _RUN_ALONG: Final = 1.0 / 3.0  # of a leg, minimum for it to count as flown: less is crossing it; chosen
@@ -34,6 +35,8 @@ _SURVEY_S: Final = 10.0  # between updates on the search of an area, while no le
 _SURVEY_AGAIN_S: Final = 60.0  # and while a leg is flown, or none can be
 _STEP_M: Final = 5.0  # in which track is measured, so that the noise of positions does not add up
 _FAR_M: Final = 5_000.0  # m; chosen: far for a way to the area, near for minutes taken for decimals of a degree
+_OUTSIDE_S: Final = 300.0  # s outside the fence and no nearer to it, until a person is asked; chosen: longer than turns
+_NEARER_M: Final = 50.0  # m; chosen: a vehicle on its way to the fence covers more in that time
 _JUMP_M: Final = 100.0  # farther apart, two positions are not joined to a track
 _SAME_M: Final = 1.0  # m: ends of legs nearer than that are the same request
 _CODES: Final = {"done": "survey_done", "cannot": "survey_cannot", "not yet": "survey_waits"}
@@ -148,6 +151,9 @@ class LookAgain:
         self._begins_here = False  # the plan was made since the payload commands
         self._changed = False
         self._waiting = False  # for a plan
+        self._asked_from_deg = NAN, NAN
+        self._was_refused = False  # some contact, in the last proposal
+        self._outside = math.inf, -math.inf  # m from the middle of the fence, and since when no nearer
         self._requested_s = -math.inf
         self._planned_s = -math.inf
         self._left_out: frozenset[str] = frozenset()
@@ -225,7 +231,7 @@ class LookAgain:
         due = (
             self._changed
             or left_out != self._left_out
-            or (bool(self.plan) and self._is_old(now_s))
+            or (self._is_old(now_s) if self.plan else self._was_refused and now_s - self._requested_s >= _REFRESH_S)
             or self._is_survey_due(now_s)
         )
         if (
@@ -237,7 +243,7 @@ class LookAgain:
         ):
             return None
         self._changed, self._waiting, self._requested_s, self._left_out = False, True, now_s, left_out
-        self._n_requested = len(self._flown)
+        self._n_requested, self._asked_from_deg = len(self._flown), pose[:2]
         return PlanRequest(*pose, left_out, self._sailed_m, tuple(self._flown), time_s)
 
     def _check_bounds(self, pose: tuple[float, float, float]) -> None:
@@ -255,6 +261,30 @@ class LookAgain:
                 "Are its corners [latitude, longitude] in decimal degrees, south and west negative?"
             )
             self._raise_once("bounds_far_away", text)
+
+    def _check_outside(self, proposal: Proposal, now_s: float) -> None:
+        """Report a vehicle that stays outside its fence while legs are wanted: none would be requested, in silence."""
+        is_area_waiting = proposal.area is not None and "outside its fence" in proposal.area.verdict
+        if proposal.waypoints or not (proposal.refused or is_area_waiting):
+            self._outside = math.inf, -math.inf
+            return
+        vehicle = self._config.vehicle
+        plane = LocalFrame(latitude_deg=vehicle.fence_deg[0][0], longitude_deg=vehicle.fence_deg[0][1])
+        corners, (here,) = in_plane(vehicle.fence_deg, plane), in_plane([self._asked_from_deg], plane)
+        margin_m = vehicle.fence_margin_m + vehicle.arrival_radius_m
+        away_m = float(np.hypot(*(here - corners.mean(axis=0))))
+        nearest_m, since_s = self._outside
+        if circles_inside(here, 0.0, corners, margin_m):
+            self._outside = math.inf, -math.inf
+        elif away_m < nearest_m - _NEARER_M:
+            self._outside = away_m, now_s
+        elif now_s - since_s >= _OUTSIDE_S:
+            text = (
+                f"legs are wanted and none is requested: for {_OUTSIDE_S / 60.0:g} min the vehicle has been outside "
+                f"vehicle.fence_deg, or nearer to its edge than {margin_m:g} m, and came no nearer; it is {away_m:.0f} "
+                "m from its middle. Bring the vehicle inside, or correct the fence."
+            )
+            self._raise_once("vehicle_outside_fence", text)
 
     def insist(self, now_s: float) -> tuple[Waypoint, ...] | None:
         """Propose without planning: the same plan while a leg outlasts it, () when all track is sailed."""
@@ -276,6 +306,8 @@ class LookAgain:
         """Give the plan to propose in place of the one before, None to keep that one."""
         self._waiting = False
         del self._flown[: self._n_requested]
+        self._was_refused = bool(proposal.refused)
+        self._check_outside(proposal, now_s)
         for contact_id, reason in proposal.refused:
             if contact_id not in self._raised:
                 self._raised.add(contact_id)

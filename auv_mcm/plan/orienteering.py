@@ -12,7 +12,7 @@ A way is 2 * leg, or 2 * leg + 1 for the leg sailed backwards. A route is a list
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from itertools import pairwise
 from typing import Final, NamedTuple
 
@@ -20,13 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.clearance.clearance_map import LookModel
-from auv_mcm.plan.dubins import PlanePose, dubins_lengths
+from auv_mcm.plan.dubins import Array, PlanePose, dubins_lengths
 from auv_mcm.plan.limits import Limits
 from auv_mcm.plan.tour import richest_tour, short_tour, tour_length
-from auv_mcm.plan.tracks import Cells, Tracks, enterable, half_extent_m
-from auv_mcm.plan.turns import Array, Turns, ends_of, reverse_poses, rough_way_m
-
-MoreTime = Callable[[], bool]
+from auv_mcm.plan.tracks import Cells, MoreTime, Tracks, enterable, half_extent_m
+from auv_mcm.plan.turns import Turns, ends_of, reverse_poses, rough_way_m
 
 _NO_WAY_M: Final = 1e7  # m instead of infinity where no way is: more than any budget, and sums stay finite
 _MIN_M2: Final = 1e-6  # m² worth of a gain: less is rounding

@@ -9,7 +9,6 @@ import numpy as np
 
 from auv_mcm.plan.ladders import laddered_legs
 from auv_mcm.plan.orienteering import (
-    MoreTime,
     Problem,
     Wanting,
     best_route,
@@ -20,6 +19,7 @@ from auv_mcm.plan.orienteering import (
     trimmed_legs,
     worth_m2,
 )
+from auv_mcm.plan.tracks import MoreTime
 from auv_mcm.plan.turns import ends_of, rough_way_m
 
 NEARLY_ALL: Final = 0.99  # of what is wanting: the rest is rounding of cells

@@ -18,10 +18,9 @@ from numpy.typing import NDArray
 from auv_mcm.clearance.clearance_map import HIGHEST_P, N_LOOKS, LookModel, look_bit
 from auv_mcm.clearance.detection_performance import CellView
 from auv_mcm.geometry.fence import circles_inside, runs_inside
-from auv_mcm.plan.dubins import PlanePose
+from auv_mcm.plan.dubins import Array, PlanePose
 from auv_mcm.plan.limits import Limits, turns_inside
 
-Array = NDArray[np.float64]
 MoreTime = Callable[[], bool]
 
 SAME_LOOK_RAD: Final = math.radians(15.0)  # as in `clearance`
@@ -236,15 +235,9 @@ class _Legs:
                 pieces += [(0, (high - low) // 2), ((high - low) // 2, high - low)]
             for begin, end in pieces:
                 if end > begin:
-                    self._add_piece(
-                        lines,
-                        number,
-                        low,
-                        along,
-                        float(along[begin]) - margin_m,
-                        float(along[end - 1]) + margin_m,
-                        inside,
-                    )
+                    ends = float(along[begin]) - margin_m, float(along[end - 1]) + margin_m
+                    for stretch in [ends] if inside is None else inside.parts(number, *ends):
+                        self._add_run(lines, number, low, along, stretch, None)
         self._keep(lines)
 
     def add_run(self, lines: _Lines, entry: PlanePose, leave: PlanePose) -> None:
@@ -260,12 +253,6 @@ class _Legs:
     def _keep(self, lines: _Lines) -> None:
         self._lines.append(lines)
         self._n_seen += len(lines.cell)
-
-    def _add_piece(
-        self, lines: _Lines, number: int, low: int, along: Array, begin: float, end: float, inside: _Inside | None
-    ) -> None:
-        for run_begin, run_end in [(begin, end)] if inside is None else inside.parts(number, begin, end):
-            self._add_run(lines, number, low, along, (run_begin, run_end), None)
 
     def _add_run(
         self,

@@ -10,11 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.geometry.fence import runs_inside
-from auv_mcm.plan.dubins import DubinsPath, Flags, PlanePose, dubins_paths, sample_path
+from auv_mcm.plan.dubins import Array, DubinsPath, Flags, PlanePose, dubins_paths, sample_path
 from auv_mcm.plan.limits import Limits, turns_inside
 from auv_mcm.plan.tracks import Tracks
-
-Array = NDArray[np.float64]
 
 ARC_STEP_RAD: Final = math.radians(15.0)
 _CHECK_STEP_RAD: Final = math.radians(7.5)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from auv_mcm.geometry.fence import circles_inside, runs_inside
-from auv_mcm.plan.dubins import PlanePose, dubins_lengths, dubins_path, sample_path
+from auv_mcm.plan.dubins import PlanePose, dubins_lengths, dubins_paths, sample_path
 from auv_mcm.plan.limits import turns_inside
 from tests.auv_mcm.plan.survey_worlds import LIMITS
 
@@ -68,5 +68,6 @@ def test_between_poses_with_room_for_a_circle_a_way_stays_inside_a_convex_fence(
     assert math.isfinite(length) is bool((leave[:, np.newaxis] & arrive).any()) or math.isinf(length)
     assert length >= float(dubins_lengths(poses[0], poses[1], radius)) - 1e-6
     if math.isfinite(length):
-        path = sample_path(dubins_path(poses[0], poses[1], radius, leave, arrive), 0.05)
-        assert min(depth_m(place, fence) for place in path[:, :2]) > -1e-6
+        (path,) = dubins_paths(np.array([poses]), radius, leave[np.newaxis], arrive[np.newaxis])
+        assert path is not None
+        assert min(depth_m(place, fence) for place in sample_path(path, 0.05)[:, :2]) > -1e-6

@@ -387,6 +387,18 @@ def test_before_the_sonar_sounds_nothing_is_planned() -> None:
     assert mission.plan()
 
 
+@pytest.mark.parametrize("sounds", [False, True])
+def test_a_vehicle_that_searches_outside_its_fence_is_reported_and_one_on_deck_beside_it_is_not(sounds: bool) -> None:
+    mission = Mission()
+    mission.place_m = (-200.0, 0.0)
+    for _ in range(20):
+        if sounds:
+            mission.ping()
+        mission.now_s += 60.0
+        assert not mission.plan()
+    assert mission.codes == ["survey_waits", "vehicle_outside_fence"][: 1 + sounds]
+
+
 @given(seed=st.integers(0, 10_000), shape=st.tuples(st.integers(1, 12), st.integers(1, 12)))
 @settings(deadline=None)
 def test_floor_not_seen_is_expected_to_be_like_the_nearest_seen(seed: int, shape: tuple[int, int]) -> None:

@@ -27,6 +27,7 @@ class Mission:
 
     def __init__(self, contacts: list[Contact]) -> None:
         self.now_s = 1000.0
+        self.here_deg = HERE[:2]
         self.look_again = LookAgain(CONFIG)
         self.contacts = {contact.id: contact for contact in contacts}
         self.proposed: list[tuple[Waypoint, ...]] = []
@@ -35,7 +36,7 @@ class Mission:
 
     def ask(self, wait_s: float = 0.0) -> PlanRequest | None:
         self.now_s += wait_s
-        return self.look_again.request(HERE, self.now_s, self.now_s)
+        return self.look_again.request((*self.here_deg, 0.0), self.now_s, self.now_s)
 
     def plan(self, wait_s: float = 0.0) -> tuple[Waypoint, ...] | None:
         """What is proposed now, None for nothing new."""
@@ -98,6 +99,47 @@ def test_a_plan_that_waits_for_permission_begins_anew_where_the_vehicle_is_and_o
     assert mission.plan() is not None  # as soon as it commands
     assert mission.plan(60.0) is None
     assert mission.plan(400.0) is not None  # before it grows too old
+
+
+def test_a_contact_refused_where_the_vehicle_was_is_requested_again_where_it_is_now() -> None:
+    mission = Mission([contact(1, 40.0, 40.0)])
+    mission.here_deg = geodetic(260.0, 0.0)
+    assert mission.plan() is None
+    mission.here_deg = geodetic(0.0, 0.0)
+    assert mission.ask(20.0) is None
+    assert len(legs(mission.plan(15.0))) == 1
+    assert [notice.code for notice in mission.look_again.take_notices()] == ["look_refused"]
+
+
+def outside(mission: Mission, *places_m: tuple[float, float]) -> list[tuple[str, bool]]:
+    """What is raised by a vehicle at these places, a minute apart."""
+    for place_m in places_m:
+        mission.here_deg = geodetic(*place_m)
+        mission.plan(60.0)
+    return [(notice.code, notice.for_the_record) for notice in mission.look_again.take_notices()]
+
+
+def test_a_vehicle_that_stays_outside_its_fence_while_legs_are_wanted_is_reported_once() -> None:
+    mission = Mission([contact(1, 40.0, 40.0)])
+    assert outside(mission, *[(260.0, 20.0 * n) for n in range(5)]) == [("look_refused", True)]
+    assert outside(mission, *[(260.0, 0.0)] * 20) == [("vehicle_outside_fence", False)]
+
+
+@pytest.mark.parametrize(
+    "places_m",
+    [
+        [(260.0, 0.0), (260.0, 0.0), (100.0, 0.0)] * 5,  # it turns outside
+        [(2000.0 - 60.0 * n, 0.0) for n in range(30)],  # it is on its way
+    ],
+)
+def test_a_vehicle_that_turns_outside_its_fence_or_comes_to_it_is_not_reported(
+    places_m: list[tuple[float, float]],
+) -> None:
+    assert outside(Mission([contact(1, 40.0, 40.0)]), *places_m) == [("look_refused", True)]
+
+
+def test_a_vehicle_outside_its_fence_is_not_reported_where_no_leg_is_wanted() -> None:
+    assert outside(Mission([]), *[(260.0, 0.0)] * 20) == []
 
 
 def test_a_leg_under_way_is_not_disturbed_and_a_new_contact_comes_after_it() -> None:

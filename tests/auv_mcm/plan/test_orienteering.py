@@ -12,14 +12,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from auv_mcm.plan.contact_legs import contact_legs, information_nats
-from auv_mcm.plan.dubins import PlanePose, dubins_lengths
+from auv_mcm.plan.dubins import Array, PlanePose, dubins_lengths
 from auv_mcm.plan.limits import Limits
 from auv_mcm.plan.orienteering import Problem, gain_bound_m2, gains_m2, greedy_legs, route_length_m, trimmed_legs
 from auv_mcm.plan.search import improved
 from auv_mcm.plan.survey import SurveyState, replan
 from auv_mcm.plan.tour import WAYS, richest_tour, tour_length
 from auv_mcm.plan.tracks import Cells, survey_tracks
-from auv_mcm.plan.turns import Array, Turns, ends_of
+from auv_mcm.plan.turns import Turns, ends_of
 from tests.auv_mcm.plan.survey_worlds import CELL_M, LIMITS, Sonar, contact, world
 
 POSE = PlanePose(-20.0, 10.0, 0.5)
