@@ -100,6 +100,11 @@ class Announcements:
             self._early_journal = Journal(self._folder / EARLY_JOURNAL)
         self._early_journal.append(records)
 
+    def write_journals(self) -> None:
+        """Write what the disk did not take of the journals. Raises OSError."""
+        for journal in (self._journal, *([] if self._early_journal is None else [self._early_journal])):
+            journal.write_owed()
+
     def _close_early(self) -> None:
         if self._early_journal is not None:
             self._early_journal.close()

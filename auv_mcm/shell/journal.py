@@ -78,19 +78,19 @@ class Journal:
             for record in records
         ]
         self._owed += "".join(lines).encode("utf-8", "replace")
-        self._write_owed()
+        self.write_owed()
 
     def close(self) -> None:
         """Close the file. Raises OSError if lines are still owed and cannot be written."""
         try:
-            self._write_owed()
+            if self._owed:
+                self.write_owed()
         finally:
             if self._file is not None:
                 self._file.close()
 
-    def _write_owed(self) -> None:
-        if not self._owed:
-            return
+    def write_owed(self) -> None:
+        """Open the file if the disk did not take it, and write what is owed. Raises OSError."""
         if self._file is None:
             self.cut_torn_line(self._path)
         file = self._file or self._open()

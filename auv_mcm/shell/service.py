@@ -34,7 +34,7 @@ from auv_mcm.records import Contact, EarlyContact, Ping, SourceEvent, contact_nu
 from auv_mcm.settings.config import Config
 from auv_mcm.shell.announcements import CLUTTER, NO_CLUTTER, Announcements
 from auv_mcm.shell.capacity import no_kernels, room_for_tiles, work_shed
-from auv_mcm.shell.checkpoint import CHECKPOINT_S, Keeping, newest_checkpoint
+from auv_mcm.shell.checkpoint import Keeping, newest_checkpoint
 from auv_mcm.shell.event_queue import EventQueue
 from auv_mcm.shell.event_spool import EventSpool
 from auv_mcm.shell.health.judge import Measured
@@ -62,7 +62,7 @@ from auv_mcm.shell.recovery import (
 )
 from auv_mcm.shell.results import MissionResults, plan_waypoints
 from auv_mcm.shell.service_manager import feed_watchdog, report
-from auv_mcm.shell.session import AnnouncedBefore, open_session
+from auv_mcm.shell.session import AnnouncedBefore, keep_session, open_session
 from auv_mcm.shell.sources import start_recording
 from auv_mcm.shell.tally import Tally
 from auv_mcm.shell.vehicle_link import VehicleLink
@@ -92,9 +92,7 @@ class Service:
         clock: Clock | None = None,
         console: Callable[[str], None] = print,
         make_pipeline: MakePipeline = standard_pipeline,
-        checkpoint_every_s: float = CHECKPOINT_S,
     ) -> None:
-        self._checkpoint_every_s = checkpoint_every_s
         self._config = config
         self._source = source
         self._clock: Clock = clock or SystemClock()
@@ -175,7 +173,7 @@ class Service:
             self._make_pipeline,
             self._records,
             self._spool,
-            Keeping(kept, self._memory.kind, self._checkpoint_every_s),
+            Keeping(kept, self._memory.kind),
             self._add_up,
         )
         if before := session.announced.is_clutter:
@@ -229,7 +227,8 @@ class Service:
 
     async def _write_memory(self) -> None:
         with contextlib.suppress(OSError):  # a disk that is full is reported by who writes what matters
-            await self._on_disk(partial(write_memory, self._folder, self._so_far()))
+            write_journals = self._announcements.write_journals
+            await self._on_disk(partial(keep_session, self._folder, self._so_far(), write_journals))
 
     def _so_far(self) -> SessionMemory:
         return msgspec.structs.replace(

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import os
 from collections import Counter
+from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -18,6 +20,7 @@ from auv_mcm.safe_files import remove_unfinished
 from auv_mcm.settings.config import Config
 from auv_mcm.shell.latest_session import SESSION, point_latest_to
 from auv_mcm.shell.recovery import (
+    STATE,
     Announced,
     SessionMemory,
     Unfinished,
@@ -25,6 +28,7 @@ from auv_mcm.shell.recovery import (
     resumable_session,
     session_kind,
     unfinished_session,
+    write_memory,
 )
 from auv_mcm.shell.whole_files import make_directory
 
@@ -75,9 +79,8 @@ def open_session(parent: Path, config: Config, clock: Clock, *, may_resume: bool
     may_resume
         Go on with a session where the configuration allows it.
 
-    A session that may be resumed goes on without its folder while the disk is full; the folder is made with the first
-    file that the disk takes. Raises UsageError for a folder that holds sessions of a thousand seconds from now on, and
-    OSError.
+    A session that may be resumed goes on without its folder while the disk is full, see `keep_session`. Raises
+    UsageError for a folder that holds sessions of a thousand seconds from now on, and OSError.
     """
     kind, now_s = session_kind(config), clock.utc_s()
     within_h = config.service.resume_within_h if may_resume else 0.0
@@ -95,7 +98,7 @@ def open_session(parent: Path, config: Config, clock: Clock, *, may_resume: bool
     except OSError as error:
         if not may_resume or error.errno not in _FULL:
             raise
-        folder, began_s = _folder_of(parent, now_s), now_s
+        folder, began_s = _free_folder(parent, now_s)
         notices += (_no_room(folder),)
     memory = SessionMemory(kind=kind, started_s=began_s, n_starts=1, elapsed_s=0.0)
     return Session(folder, memory, Announced(frozenset(), {}, {}), notices)
@@ -112,21 +115,46 @@ def _resumed(folder: Path, n_starts: int) -> Notice:
 def _no_room(folder: Path) -> Notice:
     text = (
         f"the disk is full: {folder} cannot be made. The mission goes on, and contacts are announced; nothing of it is "
-        "on disk, and a restart begins with new numbers. Make room: results and recording are written as soon as there "
-        "is some."
+        "on disk, and a restart would begin with new numbers. Make room: results, recording and what a restart goes on "
+        "from are written as soon as there is some."
     )
     return Notice(code="session_not_kept", text=text)
 
 
-def _folder_of(parent: Path, began_s: float) -> Path:
-    return parent / datetime.fromtimestamp(began_s, UTC).strftime(f"{SESSION}%Y%m%dT%H%M%SZ")
+def keep_session(folder: Path, memory: SessionMemory, write_journals: Callable[[], None]) -> None:
+    """Write the service's own memory; where the disk took no session yet, begin to keep it.
+
+    A session counts once its journals hold all that was announced: a restart that did not know it would give its
+    numbers to others. Raises OSError.
+
+    Parameters
+    ----------
+    write_journals
+        Writes what the disk did not take of them. Raises OSError.
+    """
+    if not (folder / STATE).is_dir():
+        write_journals()
+        (folder / STATE).mkdir()
+        point_latest_to(folder)
+    write_memory(folder, memory)
+
+
+def _free_folder(parent: Path, now_s: float) -> tuple[Path, float]:
+    """Name a session's folder that is not there, by its time; return also that.
+
+    A clock that nobody sets and that begins again with the computer names no two sessions alike.
+    """
+    for began_s in (now_s + second for second in range(1000)):
+        folder = parent / datetime.fromtimestamp(began_s, UTC).strftime(f"{SESSION}%Y%m%dT%H%M%SZ")
+        if not os.path.lexists(folder):
+            return folder, began_s
+    raise UsageError(f"{parent} holds a thousand sessions up to {folder.name}: the computer's clock does not run")
 
 
 def _new_folder(parent: Path, now_s: float) -> tuple[Path, float]:
     """Make a new folder per run, so that a restart never overwrites earlier results; `latest` points to it.
 
-    Return also the time in its name: a clock that nobody sets and that begins again with the computer names no two
-    sessions alike.
+    Return also the time in its name.
     """
     try:
         make_directory(parent)
@@ -134,12 +162,9 @@ def _new_folder(parent: Path, now_s: float) -> tuple[Path, float]:
         if isinstance(full := error.__cause__, OSError) and full.errno in _FULL:
             raise full from None  # no other configuration helps, but room does
         raise
-    for began_s in (now_s + second for second in range(1000)):
-        folder = _folder_of(parent, began_s)
-        try:
+    while True:
+        folder, began_s = _free_folder(parent, now_s)
+        with contextlib.suppress(FileExistsError):  # of a service that was started just now
             folder.mkdir()
-        except FileExistsError:
-            continue
-        point_latest_to(folder)
-        return folder, began_s
-    raise UsageError(f"{parent} holds a thousand sessions up to {folder.name}: the computer's clock does not run")
+            point_latest_to(folder)
+            return folder, began_s

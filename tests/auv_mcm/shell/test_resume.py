@@ -209,6 +209,47 @@ def test_a_session_goes_on_while_its_disk_takes_nothing_and_has_all_its_results_
     assert is_cut_off or said[0].startswith("notice session_not_kept: ")
 
 
+def test_a_session_begun_on_a_full_disk_is_kept_once_there_is_room(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("auv_mcm.shell.service._REMEMBER_S", 0.01)
+
+    async def run() -> None:
+        def say(line: str) -> None:
+            if "C0009" in line:
+                disk.undo()
+
+        config = Config(service=ServiceConfig(output_directory=str(tmp_path), stop_within_s=60.0))
+        running = asyncio.ensure_future(
+            Service(config, Ports(events(0, 12)), console=say, make_pipeline=fake.Base).run()
+        )
+        async with asyncio.timeout(20.0):
+            while not [*tmp_path.glob("latest/state/service.json")]:
+                await asyncio.wait({running}, timeout=0.01)
+        running.cancel()
+        await asyncio.wait({running})
+
+    with monkeypatch.context() as disk:
+        take_nothing(disk, tmp_path, errno.ENOSPC)
+        asyncio.run(run())
+    after = serve(tmp_path, events(12, 24))
+    assert len(list(tmp_path.glob("session-*"))) == 1
+    assert any("session_resumed" in notice["code"] for notice in summary(after.folder)["remarks"])
+    assert ids(after.folder) == journal(after.folder) == EXPECTED, "no number is another contact's"
+
+
+def test_a_session_on_a_full_disk_leaves_one_that_began_at_the_same_time_of_the_clock_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A computer without a battery begins at the same time again."""
+    before = open_session(tmp_path, Config(), ManualClock(), may_resume=False)
+    take_nothing(monkeypatch, tmp_path, errno.ENOSPC)
+    session = open_session(tmp_path, Config(), ManualClock(), may_resume=True)
+    assert session.notices[-1].code == "session_not_kept"
+    assert session.folder != before.folder
+    assert session.memory.started_s != before.memory.started_s
+
+
 def test_contacts_whose_events_are_lost_keep_their_numbers_to_themselves(tmp_path: Path) -> None:
     folder = cut_off(tmp_path, events(0, 12), "C0006")
     (folder / "state" / "events-000001.bin").write_bytes(b"")
