@@ -14,6 +14,7 @@ from typing import Final
 from auv_mcm.clock import Stamp
 from auv_mcm.errors import UsageError
 from auv_mcm.records import Notice
+from auv_mcm.shell.whole_files import TAKES_NOTHING
 from drivers.recording.session_layout import Direction, Lost, Recorded, SessionDescription
 from drivers.recording.session_writer import FILE_BYTES, RESERVE_BYTES, DurableFile, SessionWriter, free_bytes
 
@@ -54,8 +55,8 @@ class SessionRecorder:
         file_bytes, reserve_bytes: as of `SessionWriter`; queue_bytes: memory for what the disk has not taken yet.
         retry_s: after which a disk that failed is tried again, twice as long each time.
 
-        A disk that is full or can only be read raises a notice. Raises UsageError for a folder that cannot be written
-        to or holds a session already.
+        A disk that is full, fails or can only be read raises a notice. Raises UsageError for a folder that cannot be
+        written to or holds a session already.
         """
         self._queue_bytes = queue_bytes
         self._retry_s = retry_s
@@ -88,7 +89,7 @@ class SessionRecorder:
                 f"{folder} already holds a recorded session. Record each session into a folder of its own."
             ) from error
         except OSError as error:
-            if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EROFS):
+            if error.errno not in (*TAKES_NOTHING, errno.EIO):
                 raise UsageError(
                     f"cannot record into {folder}: {error}. Check the path and its permissions."
                 ) from error

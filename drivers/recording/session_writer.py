@@ -14,6 +14,7 @@ from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 
 from auv_mcm.clock import Stamp
+from auv_mcm.safe_files import sync_directory
 from drivers.recording.session_layout import (
     HEAD_TOPIC,
     LOST_TOPIC,
@@ -38,17 +39,19 @@ _MESSAGE_BYTES: Final = 64  # at most, of a message beside its data, with its en
 class DurableFile:
     """Open a new file, unbuffered, as far as the MCAP writer needs one.
 
-    Raises OSError; FileExistsError if there is one of that name.
+    Raises OSError, and leaves no file then; FileExistsError if there is one of that name.
     """
 
     def __init__(self, path: Path) -> None:
         self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
         self._n_bytes = 0
-        folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
         try:
-            os.fsync(folder)  # or a power cut may leave a file without a name
-        finally:
-            os.close(folder)
+            sync_directory(path.parent)  # or a power cut may leave a file without a name
+        except OSError:
+            self.close()
+            with contextlib.suppress(OSError):
+                path.unlink()  # or its name is taken when the disk is tried again
+            raise
 
     def write(self, data: bytes) -> int:
         rest = memoryview(data)

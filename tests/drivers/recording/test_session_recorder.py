@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import errno
 import math
+import os
 import signal
 import subprocess
 import sys
 import threading
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -140,6 +142,35 @@ def test_a_disk_that_is_full_from_the_start_and_then_has_room_takes_what_waits(t
     recorder.close()
     assert list(Session(tmp_path)) == chunks
     assert [notice.code for notice in recorder.take_notices()] == ["recording_resumed"]
+
+
+@pytest.mark.parametrize("n_good", [0, 1])
+def test_a_file_whose_name_a_failing_disk_did_not_keep_does_not_end_the_recording(
+    n_good: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From the start, as when a restart meets it, or when the second file begins."""
+    left = [n_good]
+
+    def fsync(descriptor: int, fsync: Callable[[int], None] = os.fsync) -> None:
+        if os.path.isdir(f"/proc/self/fd/{descriptor}"):
+            left[0] -= 1
+            if left[0] == -1:
+                raise OSError(errno.EIO, "Input/output error")
+        fsync(descriptor)
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    chunks = traffic(1, 300)
+    recorder = SessionRecorder(tmp_path, description(), retry_s=0.0, file_bytes=9000)
+    for first in range(0, 300, 150):
+        for chunk in chunks[first : first + 150]:
+            recorder.record(*chunk)
+        n_waits = 0
+        while recorder.counters["session.chunks_recorded"] < first + 150 and n_waits < 1000:
+            n_waits += 1
+            threading.Event().wait(0.01)
+    recorder.close()
+    assert [notice.code for notice in recorder.take_notices()] == ["session_stopped", "recording_resumed"]
+    assert list(Session(tmp_path)) == chunks
 
 
 def test_what_a_failed_disk_leaves_no_room_for_is_lost_and_marked(tmp_path: Path) -> None:
