@@ -51,7 +51,8 @@ def serve(config: Config, *, clock: Clock | None = None, make_pipeline: MakePipe
                 serving.cancel()
 
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # SIGHUP: the terminal is gone
-            loop.add_signal_handler(number, on_signal, number)
+            if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:  # by nohup it may go
+                loop.add_signal_handler(number, on_signal, number)
         try:
             return await serving
         except asyncio.CancelledError:

@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -122,9 +123,9 @@ except KeyboardInterrupt:
 """
 
 
-def program(folder: Path, pipeline: str) -> subprocess.Popen[str]:
+def program(folder: Path, pipeline: str, wrapper: Sequence[str] = ()) -> subprocess.Popen[str]:
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    command = [sys.executable, "-u", "-c", PROGRAM, str(folder), pipeline]
+    command = [*wrapper, sys.executable, "-u", "-c", PROGRAM, str(folder), pipeline]
     return subprocess.Popen(
         command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True
     )
@@ -140,7 +141,7 @@ def read_until(process: subprocess.Popen[str], word: str) -> None:
     pytest.fail(f"'{word}' never came:\n{''.join(seen)}")
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
 def test_a_signal_to_the_whole_process_group_ends_in_order(tmp_path: Path, number: signal.Signals) -> None:
     with program(tmp_path, "Base") as process:
         read_until(process, "C0027")
@@ -149,6 +150,16 @@ def test_a_signal_to_the_whole_process_group_ends_in_order(tmp_path: Path, numbe
     assert process.returncode == 0, output
     assert ids(tmp_path / "latest") == [f"C{number:04d}" for number in (*range(0, 30, 3), 9999)]
     assert "leaked" not in output
+
+
+def test_a_service_started_by_nohup_outlives_its_terminal(tmp_path: Path) -> None:
+    with program(tmp_path, "Base", ["nohup"]) as process:
+        read_until(process, "C0027")
+        process.send_signal(signal.SIGHUP)
+        process.send_signal(signal.SIGTERM)
+        output, _ = process.communicate(timeout=60)
+    assert process.returncode == 0, output
+    assert "SIGTERM: finishing" in output, "the first signal that it heeds"
 
 
 def test_killing_all_processes_at_once_leaves_no_shared_memory_and_no_other_file_behind(tmp_path: Path) -> None:
