@@ -19,6 +19,7 @@ from auv_mcm.settings.port_settings import SONAR_NAMES, NavUnitSettings
 from auv_mcm.shell.check.finding import Finding, Verdict
 from drivers.clocks import UtcAnchor, host_offset_ns
 from drivers.heard import Heard
+from drivers.links.can_bus import TO_CHECK
 from drivers.links.link import LinkState
 from drivers.links.tcp import CONNECT_S
 from drivers.links.uri import TcpAddress
@@ -204,12 +205,13 @@ class _Listener:
         elif self._port.commands:
             waits = "the sonar may wait for the commands that the service sends"
         text = f"open, but nothing was received for {listen_s:g} s"
+        baud = "" if self._port.baud is None else f", and that it sends at {self._port.baud} baud"
+        what = TO_CHECK if self._port.is_bus else f"the device's power and its cable{baud}"
         if waits:
             return self._judged(
-                "warning", f"{text}: {waits}, and nothing was sent. If it should send by itself, check power and cable"
+                "warning", f"{text}: {waits}, and nothing was sent. If it should send by itself, check {what}"
             )
-        baud = "" if self._port.baud is None else f", and that it sends at {self._port.baud} baud"
-        return self._judged("FAILED", f"{text}. Check the device's power and its cable{baud}")
+        return self._judged("FAILED", f"{text}. Check {what}")
 
     def _unread(self) -> str:
         text = f"{self._n_bytes} bytes, but no message of '{self._port.device}'"
@@ -260,7 +262,7 @@ async def _is_connected(address: TcpAddress) -> bool:
     """Return whether a program on this computer has a connection to a TCP address."""
     try:
         found = await asyncio.get_running_loop().getaddrinfo(address.host, address.port, type=socket.SOCK_STREAM)
-    except OSError:
+    except (OSError, UnicodeError):
         return False  # opening it reports what is wrong
     wanted = {(ipaddress.ip_address(str(place[0]).partition("%")[0]), address.port) for *_, place in found}
     return any(remote in wanted for table in _TCP_TABLES for remote in _remotes(table))

@@ -13,6 +13,8 @@ from drivers.links.can_frame import CanFrame
 from drivers.links.gather import GATHER_S
 
 _MAX_PER_READ: Final = 256  # frames: bounds how long one read keeps the event loop
+TO_CHECK: Final = "that the bus has power, its bit rate, its wires and its termination"
+"""What a person should look at where nothing comes."""
 _ERROR_BUS_OFF: Final = 0x40  # in the identifier of an error frame, linux/can/error.h
 
 
@@ -30,6 +32,7 @@ class CanBusPort:
         self._bus = bus
         self._place = place
         self._counters = counters
+        self._has_errors = False  # since anything else came
         try:
             self._descriptor = int(bus.fileno())
         except NotImplementedError:
@@ -49,13 +52,17 @@ class CanBusPort:
                 break
             if message.is_error_frame:
                 self._counters["can.error_frames"] += 1
+                self._has_errors = True
                 if message.arbitration_id & _ERROR_BUS_OFF:
+                    channel = self._place.rpartition("/")[2]
                     raise HardwareError(
                         f"{self._place}: the controller switched itself off after too many errors. Check bit rate, "
-                        f"wires and termination; ip link set {self._place.rpartition('/')[2]} type can restart-ms 100 "
-                        "lets it come back by itself."
+                        f"wires and termination; then ip link set {channel} down and ip link set {channel} up type can "
+                        "restart-ms 100 start it, and let it come back by itself."
                     )
-            elif message.is_remote_frame:
+                continue
+            self._has_errors = False
+            if message.is_remote_frame:
                 self._counters["can.remote"] += 1
             else:
                 self._counters["can.frames"] += 1
@@ -80,7 +87,12 @@ class CanBusPort:
         pass
 
     def on_silence(self) -> str:
-        return "Check that the bus has power, its bit rate, its wires and its termination."
+        if self._has_errors:
+            return (
+                "Frames of errors came last: the bus has another bit rate, or its wires or its termination are wrong. "
+                "Check them."
+            )
+        return f"Check {TO_CHECK}."
 
     def close(self) -> None:
         with contextlib.suppress(Exception):

@@ -180,6 +180,18 @@ def test_a_tcp_device_that_refuses_and_a_can_interface_that_is_not_there_are_fai
     assert "socketcan://nocan0" in bus.detail
 
 
+def test_a_silent_bus_is_a_failure_that_names_the_bit_rate() -> None:
+    (found,) = findings("{name: one, link: 'can-virtual://silent', device: nmea2000}")
+    assert found.verdict == "FAILED"
+    assert "its bit rate, its wires and its termination" in found.detail
+
+
+def test_an_address_that_is_none_is_a_failure_that_names_it() -> None:
+    (found,) = findings("{name: one, link: 'tcp://192.168..2:5000', device: nmea0183}")
+    assert found.verdict == "FAILED"
+    assert "host '192.168..2' is unknown" in found.detail
+
+
 def test_a_port_without_permission_names_the_group(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "tty"
     path.touch()

@@ -202,6 +202,25 @@ async def test_a_bus_that_dies_is_reported_at_once_and_opened_again(end: can.Mes
     assert link.counters["link.lost"] == 1
 
 
+@pytest.mark.parametrize(
+    ("last", "words"),
+    [
+        (can.Message(is_error_frame=True, arbitration_id=0x4), "Frames of errors came last: the bus has another bit"),
+        (can.Message(arbitration_id=1), "Check that the bus has power, its bit rate"),
+    ],
+)
+async def test_a_wrong_bit_rate_shows_in_frames_of_errors_alone(last: can.Message, words: str) -> None:
+    async def open_port(counters: Counter[str]) -> CanBusPort:
+        return CanBusPort(
+            DyingBus([can.Message(is_error_frame=True, arbitration_id=0x4), last]), "socketcan://can9", counters
+        )
+
+    watch = Watch[CanFrame]()
+    async with running(Link("socketcan://can9", open_port, watch.on_data, watch.on_state, SystemClock(), 0.1)):
+        await until(lambda: watch.states[-1:] == ["silent"])
+        assert words in watch.reason
+
+
 async def test_an_interface_that_is_not_there_is_reported() -> None:
     link, watch = watched_can("socketcan://absent0")
     async with running(link):
