@@ -6,12 +6,35 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final, TypeVar
 
+import msgspec
+
 from auv_mcm.errors import BadInputError
 from auv_mcm.safe_files import read_regular
+from auv_mcm.settings.config import Config
 
 SHIPPED: Final = "shipped"
 NONE: Final = "none"
 Model = TypeVar("Model")
+
+
+def named_files(config: Config) -> dict[tuple[str, str], str]:
+    """List the files that a configuration names in place of those that ship, by section and key."""
+    given = msgspec.to_builtins(config)
+    return {
+        (section, key): given[section][key]
+        for section, values in msgspec.to_builtins(Config()).items()
+        if isinstance(values, dict)
+        for key, value in values.items()
+        if value == SHIPPED and given[section][key] not in (SHIPPED, NONE)
+    }
+
+
+def files_from(folder: Path, config: Config) -> Config:
+    """Have the files that a configuration names begin from a folder, those named from the root left as they are."""
+    for (section, key), name in named_files(config).items():
+        part = msgspec.structs.replace(getattr(config, section), **{key: str(folder / name)})
+        config = msgspec.structs.replace(config, **{section: part})
+    return config
 
 
 def read_model(

@@ -158,16 +158,17 @@ def whole(low: int, high: int) -> Callable[[str], int]:
 
 
 def read_config(path: Path | None) -> Config:
-    """Read the configuration in a file, or the defaults.
+    """Read the configuration in a file, or the defaults. Files that it names are looked for from its own folder.
 
     Raises UsageError for a file that cannot be read or is not valid.
     """
+    from auv_mcm.model_file import files_from
     from auv_mcm.settings.config import Config, parse_config
     from auv_mcm.settings.strict_yaml import read_text
 
     if path is None:
         return Config()
-    config = parse_config(read_text(path, "configuration"), str(path))
+    config = files_from(path.parent.absolute(), parse_config(read_text(path, "configuration"), str(path)))
     if config.ports:
         from auv_mcm.shell.registry import READ_PORTS, load
 

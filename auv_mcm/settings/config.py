@@ -428,7 +428,7 @@ def config_yaml(config: Config) -> str:
     """
     lines = [
         "# Configuration of auv-mcm. Every key may be left out; its default then holds.",
-        "# 'auv-mcm check --config FILE' checks a file.",
+        "# 'auv-mcm check --config FILE' checks a file. Files that it names are looked for from its own folder.",
         "",
     ]
     root = inspect.type_info(Config)

@@ -18,7 +18,7 @@ import msgspec
 
 from auv_mcm import __version__, kernels
 from auv_mcm.errors import AuvMcmError
-from auv_mcm.model_file import NONE, SHIPPED
+from auv_mcm.model_file import named_files
 from auv_mcm.plan.look_again import LooksSoFar
 from auv_mcm.program import program
 from auv_mcm.records import Notice, report_number
@@ -231,23 +231,10 @@ def session_kind(config: Config) -> str:
             of = port if section is None else port.get(section) or {}
             of.pop(address, None)
     digest = hashlib.sha256(msgspec.json.encode(of_chain, order="deterministic"))
-    for name in _named_models(config):
+    for name in named_files(config).values():
         with contextlib.suppress(OSError, AuvMcmError):  # perception, which needs it, says what is wrong
             digest.update(hashlib.sha256(read_regular(Path(name))).digest())
     return f"{__version__} {program()} {kernels.backend()} {digest.hexdigest()}"
-
-
-def _named_models(config: Config) -> list[str]:
-    """List the files that a configuration names in place of models that ship."""
-    given, shipped = msgspec.to_builtins(config), msgspec.to_builtins(Config())
-    keys = [
-        (section, key)
-        for section, values in shipped.items()
-        if isinstance(values, dict)
-        for key, value in values.items()
-        if value == SHIPPED
-    ]
-    return [given[section][key] for section, key in keys if given[section][key] not in (SHIPPED, NONE)]
 
 
 def remove_state(folder: Path) -> None:

@@ -9,8 +9,10 @@ from typing import Any
 
 import pytest
 
+from auv_mcm.classify.targets import configured_targets
 from auv_mcm.clearance.detection_performance import configured_performance, shipped_performance
 from auv_mcm.cli import main
+from auv_mcm.commands import read_config
 from auv_mcm.errors import BadInputError
 from auv_mcm.seabed.seabed_model import configured_seabed_model, shipped_seabed_model
 from auv_mcm.settings.config import Config, DetectConfig
@@ -26,6 +28,27 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     track = Track(plan=Lawnmower(n_legs=1, leg_m=16.0), altitude_m=5.0)
     write_xtf(path, Mission(Scene(sonar=Sonar(range_m=30.0, ping_rate_hz=15.0, beam_lines=3), track=track)).events())
     return path
+
+
+def test_files_that_a_configuration_names_are_looked_for_from_its_own_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The service starts in another folder than a person who checks its configuration."""
+    (tmp_path / "vehicle.yaml").write_text(
+        "confirm: {targets: mines.yaml}\ndetect: {model: none, gate: /models/gate.json}\n"
+    )
+    (tmp_path / "mines.yaml").write_text("mines: [{kind: sphere}]")
+    (tmp_path / "elsewhere").mkdir()
+    for folder, path in ((tmp_path, "vehicle.yaml"), (tmp_path / "elsewhere", "../vehicle.yaml")):
+        monkeypatch.chdir(folder)
+        config = read_config(Path(path))
+        assert len(configured_targets(config.confirm.targets).mines) == 1
+        assert Path(config.confirm.targets).is_absolute()
+        assert (config.detect.model, config.detect.gate, config.confirm.odds) == (
+            "none",
+            "/models/gate.json",
+            "shipped",
+        )
 
 
 def blind_tables(path: Path) -> Path:
