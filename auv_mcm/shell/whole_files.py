@@ -17,6 +17,15 @@ from auv_mcm.safe_files import replacing
 TAKES_NOTHING: Final = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
 """Errors of a disk that is full or can only be read: a mission goes on without it."""
 
+REMEDIES: Final = {
+    errno.ENOSPC: "Free space on this disk",
+    errno.EDQUOT: "Free space, or raise this user's quota",
+    errno.EROFS: "Mount it for writing, or add it to ReadWritePaths and RequiresMountsFor of the systemd unit",
+    errno.EIO: "Check the disk",
+    errno.EACCES: "Change its owner, or let the systemd unit wait for its disk by RequiresMountsFor",
+}
+"""What to do about a directory that cannot be written to, by the reason."""
+
 
 def write_file(path: Path, data: bytes, *, durable: bool = True) -> None:
     """Replace `path` by `data`; a power cut leaves the old file or the new one, never a piece. Raises OSError.
@@ -53,6 +62,8 @@ def make_directory(path: Path) -> Path:
         path.mkdir(parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=path).close()
     except OSError as error:
-        reason = "a file is in its place" if isinstance(error, FileExistsError | NotADirectoryError) else error.strerror
-        raise UsageError(f"cannot write to the output directory {path}: {reason}. Name another one.") from error
+        why = f"{error.strerror}. {REMEDIES.get(error.errno or 0, REMEDIES[errno.EACCES])}, or name"
+        if isinstance(error, FileExistsError | NotADirectoryError):
+            why = "a file is in its place. Name"
+        raise UsageError(f"cannot write to the output directory {path}: {why} another one.") from error
     return path

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from auv_mcm.shell.check.finding import Finding
+from auv_mcm.shell.whole_files import REMEDIES
 
 PLENTY_BYTES: Final = 1 << 30
 """Free space for a day: a full serial line of 921600 baud records 0.33 GB an hour, three hours of it."""
@@ -25,14 +26,6 @@ SERVICE_USER: Final = "auvmcm"
 _HIDDEN: Final = (Path("/home"), Path("/root"), Path("/run/user"))  # by ProtectHome= of a systemd unit
 _DAY_S: Final = 86_400.0  # times of files out of archives are local ones, whose zone is not known
 _FIRST_UTC_S: Final = datetime(2025, 1, 1, tzinfo=UTC).timestamp()  # there was no version of this package before
-
-_REMEDIES: Final = {
-    errno.ENOSPC: "Free space on this disk",
-    errno.EDQUOT: "Free space, or raise this user's quota",
-    errno.EROFS: "Mount it for writing, or in a systemd unit add it to ReadWritePaths",
-    errno.EIO: "Check the disk",
-}
-"""What to do about a directory that cannot be written to, by the reason."""
 
 _UNSYNCHRONISED: Final = 0x40  # STA_UNSYNC of linux/timex.h
 _TIME_ERROR: Final = 5  # TIME_ERROR, what adjtimex returns for a clock that is not disciplined
@@ -164,7 +157,7 @@ def output_finding(folder: Path) -> Finding:
             probe.flush()
         free_bytes = shutil.disk_usage(existing).free
     except OSError as error:
-        remedy = _REMEDIES.get(error.errno or 0, "Change its owner")
+        remedy = REMEDIES.get(error.errno or 0, REMEDIES[errno.EACCES])
         return Finding(
             name, "FAILED", f"{existing} cannot be written to: {error.strerror}. {remedy}, or name another one ({key})"
         )

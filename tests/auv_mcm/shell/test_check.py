@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from auv_mcm.errors import UsageError
 from auv_mcm.shell.check import expected_mines
 from auv_mcm.shell.check.host import (
     Discipline,
@@ -22,6 +23,7 @@ from auv_mcm.shell.check.host import (
     user_findings,
 )
 from auv_mcm.shell.check.packages import Requirement, package_findings, parse_requirements
+from auv_mcm.shell.whole_files import make_directory
 
 PACKAGE = Path(__file__).parents[3] / "auv_mcm"
 DECLARED = ["numpy<3,>=2.0", "mcap<2,>=1.5", 'pyxtf<2,>=1.4; extra == "bench"', 'rich<16,>=13; extra == "bench"']
@@ -153,8 +155,8 @@ def test_an_output_directory_below_a_file_or_behind_a_dead_link_fails(tmp_path: 
 @pytest.mark.parametrize(
     ("reason", "remedy"),
     [
-        (errno.EACCES, "Permission denied. Change its owner, or name another one (service.output_directory)"),
-        (errno.EROFS, "Read-only file system. Mount it for writing, or in a systemd unit add it to ReadWritePaths"),
+        (errno.EACCES, "Permission denied. Change its owner, or let the systemd unit wait for its disk by Requires"),
+        (errno.EROFS, "Read-only file system. Mount it for writing, or add it to ReadWritePaths and RequiresMountsFor"),
         (errno.ENOSPC, "No space left on device. Free space on this disk, or name another one"),
     ],
 )
@@ -168,6 +170,8 @@ def test_an_output_directory_that_takes_no_file_names_the_reason_and_its_remedy(
     found = output_finding(tmp_path / "results")
     assert found.verdict == "FAILED"
     assert f"{tmp_path} cannot be written to: {remedy}" in found.detail
+    with pytest.raises(UsageError, match=f": {remedy}"):  # as the service says that starts nevertheless
+        make_directory(tmp_path / "results")
 
 
 def test_root_is_sent_to_check_as_the_user_of_the_service() -> None:
