@@ -14,7 +14,7 @@ from typing import Any
 from auv_mcm import __version__
 from auv_mcm.clean_text import clean_lines
 from auv_mcm.commands import EXIT_CODES, Parser
-from auv_mcm.errors import AuvMcmError, HardwareError, UsageError
+from auv_mcm.errors import AuvMcmError, HardwareError, UsageError, first_of
 from auv_mcm.shell.registry import COMMAND_GROUPS, COMMANDS, COMPLETION, load
 
 _INTERRUPTED = 130  # what shells report for a program ended by Ctrl-C
@@ -69,7 +69,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         missing = group.subgroup(ModuleNotFoundError)
         if missing is None:
             raise
-        return _missing(_first(missing))
+        return _missing(first_of(missing))
     except BrokenPipeError:
         # Whoever read our output, such as head, has seen enough.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -104,13 +104,6 @@ def _missing(error: Exception) -> int:
             f"this command needs the package {package}: python -m pip install 'auv-mcm[{extra}]'", UsageError.exit_code
         )
     return _fail(f"the package {package} is missing: python -m pip install auv-mcm", UsageError.exit_code)
-
-
-def _first(group: ExceptionGroup[ModuleNotFoundError]) -> Exception:
-    error: Exception = group
-    while isinstance(error, ExceptionGroup):
-        error = error.exceptions[0]
-    return error
 
 
 def _fail(text: str, code: int) -> int:

@@ -11,7 +11,9 @@ Every message says what is wrong, where, and what to do.
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import ClassVar, TypeVar
+
+E = TypeVar("E", bound=BaseException)
 
 
 class AuvMcmError(Exception):
@@ -44,10 +46,7 @@ class SelfCheckError(AuvMcmError):
     exit_code: ClassVar[int] = 5
 
 
-def first_of(group: BaseExceptionGroup[AuvMcmError]) -> AuvMcmError:
+def first_of(group: BaseExceptionGroup[E]) -> E:
     """Return the first error of a group, however deep it lies."""
-    error: BaseException = group
-    while isinstance(error, BaseExceptionGroup):
-        error = error.exceptions[0]
-    assert isinstance(error, AuvMcmError)
-    return error
+    error = group.exceptions[0]
+    return first_of(error) if isinstance(error, BaseExceptionGroup) else error

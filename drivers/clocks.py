@@ -21,6 +21,7 @@ MILLISECOND_COUNTER_S: Final = 2**32 / 1000.0  # after which a 32-bit counter of
 _NS: Final = 1_000_000_000  # nanoseconds per second
 _MILLION: Final = 1_000_000  # parts per million
 _BITS_PER_BYTE: Final = 10  # 8N1
+_DRIFT_PPM: Final = 100  # of a device's crystal against this computer's, maximum
 _RESOLUTION_NS: Final = 10_000_000  # of the window's end, which bounds how many messages it holds
 _LATEST_S: Final = 1e12  # no clock reports more
 _STEP_NS: Final = 500_000_000  # a device whose time is off by more was set or started anew
@@ -61,24 +62,20 @@ def wire_delay_s(n_bytes: int, baud: float | None) -> float:
 class DeviceClock:
     """Map one device's counter or clock to the monotonic clock, by the lower envelope of arrival minus device time.
 
-    A message that arrived at t bounds the offset by (arrival - device time) + drift_ppm * (now - t): the minimum of
+    A message that arrived at t bounds the offset by (arrival - device time) + drift * (now - t): the minimum of
     these over the window is the tightest bound, never below the true offset plus the minimum delay while the drift
     keeps within its bound. Counts clock.anchored_anew, .out_of_order and .without_device_time.
     """
 
-    def __init__(
-        self, source: str, *, wrap_s: float | None = None, window_s: float = 60.0, drift_ppm: int = 100
-    ) -> None:
+    def __init__(self, source: str, *, wrap_s: float | None = None, window_s: float = 60.0) -> None:
         """source: the device, for messages.
 
         wrap_s: after which the counter starts over (`MILLISECOND_COUNTER_S`; 86400 for a time of day), None: never.
-        drift_ppm: bound of the rate of its crystal against this computer's; for ping numbers times a known interval, of
-        that interval.
         """
         self.counters: Counter[str] = Counter()
         self._source = source
         self._wrap_ns = None if wrap_s is None else round(wrap_s * _NS)
-        self._window = _Envelope(round(window_s * _NS), drift_ppm)
+        self._window = _Envelope(round(window_s * _NS))
         self._segment = 0
         self._began_ns: int | None = None
         self._last_device_ns = 0
@@ -176,9 +173,8 @@ class _Envelope:
     A bound above a later one can never be the minimum again.
     """
 
-    def __init__(self, window_ns: int, drift_ppm: int) -> None:
+    def __init__(self, window_ns: int) -> None:
         self._window_ns = window_ns
-        self._drift_ppm = drift_ppm
         self._bounds: deque[tuple[int, int]] = (
             deque()
         )  # when, and the offset with the drift since the clock's zero taken off; rising
@@ -205,7 +201,7 @@ class _Envelope:
         return bounds[0][1] + self._drift_ns(now_ns)
 
     def _drift_ns(self, mono_ns: int) -> int:
-        return mono_ns * self._drift_ppm // _MILLION
+        return mono_ns * _DRIFT_PPM // _MILLION
 
 
 class UtcAnchor:

@@ -28,7 +28,7 @@ from auv_mcm.settings.config import Config
 from auv_mcm.shell.checkpoint import Keeping, commit_checkpoint
 from auv_mcm.shell.event_queue import Queued
 from auv_mcm.shell.event_spool import EventSpool, Spooled
-from auv_mcm.shell.perception import RING_BYTES, Perception, WorkDone
+from auv_mcm.shell.perception import Perception, WorkDone
 from auv_mcm.shell.perception_chain import MakePipeline
 from auv_mcm.shell.perception_messages import Checkpointed, Fed, Finished, PerceptionError, Planned, Started
 from auv_mcm.shell.ping_ring import bytes_in_ring
@@ -75,7 +75,6 @@ class LastingPerception:
         spool: EventSpool,
         keeping: Keeping,
         on_handed: Callable[[SourceEvent], None] = lambda event: None,
-        ring_bytes: int = RING_BYTES,
     ) -> None:
         """records: for contacts and coverage. spool: takes events as they come, before they wait in any queue.
 
@@ -87,7 +86,7 @@ class LastingPerception:
         self._keeping = keeping
         self._checkpoints: deque[int] = deque([0, 0], 2)  # numbers of the two newest
         self._make: Callable[[], Perception] = partial(
-            Perception, config, make_pipeline, records=records, keeping=keeping, ring_bytes=ring_bytes
+            Perception, config, make_pipeline, records=records, keeping=keeping
         )
         self._perception = self._make()
         self._given = spool.last  # number of the newest event that was given to feed, here or before a power cut

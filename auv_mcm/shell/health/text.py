@@ -25,7 +25,7 @@ def health_line(health: Health) -> str:
         f"clutter={service['clutter']:.0f}",
         f"lag_ms={service['event_loop_late_s'] * 1e3:.1f}",
     ]
-    if "no_kernels" in perception_reasons(health):
+    if "no_kernels" in parts["perception"].reasons:
         words.append("kernels=NUMPY")
     if ports:
         words.append("ports=" + ",".join(f"{part.name.removeprefix('port.')}:{_link_state(part)}" for part in ports))
@@ -33,11 +33,6 @@ def health_line(health: Health) -> str:
         words.append(parts["vehicle"].words)
     words.append(f"state={health.state}" + "".join(f",{reason}" for reason in health.reasons))
     return " ".join(words)
-
-
-def perception_reasons(health: Health) -> tuple[str, ...]:
-    """Give the reasons of perception."""
-    return next(part.reasons for part in health.parts if part.name == "perception")
 
 
 def health_table(health: Health, age_s: float) -> str:
