@@ -197,10 +197,12 @@ class EventSpool:
         number = max((_file_number(path) for path in self._last_in_file), default=0) + 1
         path = self._folder / f"events-{number:06d}.bin"
         self._last_in_file[path] = 0
+        file: BinaryIO | None = None
         try:
             file = open_new(path)
             sync_directory(self._folder)
         except OSError:
+            _close(file)
             return path, None
         with self._state:
             self._is_sound = True

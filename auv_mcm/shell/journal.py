@@ -91,6 +91,8 @@ class Journal:
 
     def write_owed(self) -> None:
         """Open the file if the disk did not take it, and write what is owed. Raises OSError."""
+        if self._file is not None and not self._owed:
+            return
         if self._file is None:
             self.cut_torn_line(self._path)
         file = self._file or self._open()

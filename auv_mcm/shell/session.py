@@ -124,16 +124,16 @@ def _no_room(folder: Path) -> Notice:
 def keep_session(folder: Path, memory: SessionMemory, write_journals: Callable[[], None]) -> None:
     """Write the service's own memory; where the disk took no session yet, begin to keep it.
 
-    A session counts once its journals hold all that was announced: a restart that did not know it would give its
-    numbers to others. Raises OSError.
+    The journals come first: a restart that did not know all that was announced would give its numbers to others.
+    Raises OSError.
 
     Parameters
     ----------
     write_journals
         Writes what the disk did not take of them. Raises OSError.
     """
+    write_journals()
     if not (folder / STATE).is_dir():
-        write_journals()
         (folder / STATE).mkdir()
         point_latest_to(folder)
     write_memory(folder, memory)

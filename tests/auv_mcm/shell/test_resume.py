@@ -209,9 +209,13 @@ def test_a_session_goes_on_while_its_disk_takes_nothing_and_has_all_its_results_
     assert is_cut_off or said[0].startswith("notice session_not_kept: ")
 
 
+@pytest.mark.parametrize("has_room_for_names", [False, True])
 def test_a_session_begun_on_a_full_disk_is_kept_once_there_is_room(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    has_room_for_names: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    def full(descriptor: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
     monkeypatch.setattr("auv_mcm.shell.service._REMEMBER_S", 0.01)
 
     async def run() -> None:
@@ -226,11 +230,15 @@ def test_a_session_begun_on_a_full_disk_is_kept_once_there_is_room(
         async with asyncio.timeout(20.0):
             while not [*tmp_path.glob("latest/state/service.json")]:
                 await asyncio.wait({running}, timeout=0.01)
+        assert journal(tmp_path / "latest") == EXPECTED[:4], "numbers that a restart must not give to others"
         running.cancel()
         await asyncio.wait({running})
 
     with monkeypatch.context() as disk:
-        take_nothing(disk, tmp_path, errno.ENOSPC)
+        if has_room_for_names:
+            disk.setattr("os.fsync", full)
+        else:
+            take_nothing(disk, tmp_path, errno.ENOSPC)
         asyncio.run(run())
     after = serve(tmp_path, events(12, 24))
     assert len(list(tmp_path.glob("session-*"))) == 1
