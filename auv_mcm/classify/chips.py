@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.confirm.region import Region
+from auv_mcm.detect.gate import LOG_RANGE
 from auv_mcm.kernels.cell_sums import cell_sums
 from auv_mcm.kernels.order import median
 
@@ -35,7 +36,6 @@ _DARKEST: Final = 1e-4  # of the mean floor, -40 dB: the lowest code of a snippe
 _SIGMAS_PER_DEVIATION: Final = 1.4826  # of a normal law, from its median absolute deviation
 _LEAST_SPREAD_DB: Final = 0.5  # a floor averaged over 80 looks; below it rounding would be enlarged
 _LIMIT: Final = 8.0  # spreads about the floor's middle, as far as either picture reaches
-_LOG_RANGE: Final = (-1.5, 3.5)  # bounds of ln(ground range / altitude), as the odds of a mine have them
 
 Picture = NDArray[np.float32]
 
@@ -117,6 +117,6 @@ def floor_of(levels_db: NDArray[np.float64]) -> tuple[float, float]:
 def _place(region: Region, centre_m: float) -> Picture:
     ratio = max(centre_m, _COLUMN_M) / region.altitude_m
     slant_m = math.hypot(centre_m, region.altitude_m)
-    log_range = min(max(math.log(ratio), _LOG_RANGE[0]), _LOG_RANGE[1])
+    log_range = min(max(math.log(ratio), LOG_RANGE[0]), LOG_RANGE[1])
     footprint_m = min(region.beam_width_rad * slant_m, 2.0)
     return np.array([log_range - 1.0, math.log(region.altitude_m / 5.0), 4.0 * (footprint_m - 0.25)], dtype=np.float32)

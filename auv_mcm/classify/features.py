@@ -18,6 +18,7 @@ from auv_mcm.confirm import snake_rules
 from auv_mcm.confirm.region import HIGHLIGHT, Region
 from auv_mcm.confirm.snake import Contours
 from auv_mcm.detect.belief import odds_of
+from auv_mcm.detect.gate import LOG_RANGE
 from auv_mcm.kernels.snake_descent import row_intervals
 from auv_mcm.records import Detection
 
@@ -30,7 +31,6 @@ _MIN_PLAUSIBILITY: Final = 1e-3  # bounds the logarithm of a plausibility of 0 t
 _TEMPER: Final = 4.0  # nats a solid loses per nat of plausibility of its size; chosen, not measured
 _MAX_ODDS: Final = 6.0  # nats: as far as the detector's log-odds count, the bound of detect.belief
 _MAX_SCORE: Final = 15.0  # as far as a score of cascade or contrasts counts: one extreme value must not decide alone
-_RANGE: Final = (-1.5, 3.5)  # ln of ground range over altitude: 0.2 to 33 altitudes, beyond them nothing was fitted
 _MIN_ROWS: Final = 4  # of an edge whose bend can be measured
 _MIN_AREA_M2: Final = 0.01  # m²: keeps the logarithm of an empty highlight finite
 _MAX_M: Final = 3.0  # m: no shape of an object differs by more; bounds outliers of the outline
@@ -48,7 +48,7 @@ def detector_features(detection: Detection) -> Features:
     ratio = detection.ground_range_m / detection.altitude_m if detection.altitude_m > 0.0 else math.nan
     odds = min(max(odds_of(detection.p_mine), -_MAX_ODDS), _MAX_ODDS)
     highlight_db = known(detection.highlight_db, 0.0)
-    log_range = min(max(math.log(ratio), _RANGE[0]), _RANGE[1]) if 0.0 < ratio < math.inf else 0.0
+    log_range = min(max(math.log(ratio), LOG_RANGE[0]), LOG_RANGE[1]) if 0.0 < ratio < math.inf else 0.0
     trained: Features = {}
     if not math.isnan(detection.cascade_score):
         score = min(max(detection.cascade_score, -_MAX_SCORE), _MAX_SCORE)

@@ -215,13 +215,7 @@ class _Class(NamedTuple):
 
 
 def fit_shapes(
-    region: Region,
-    contour_cost: float | None,
-    correlation_area: float,
-    *,
-    looks: float = 1.0,
-    effort: Effort | None = None,
-    ranges: SearchRanges = USUAL_RANGES,
+    region: Region, contour_cost: float | None, correlation_area: float, *, effort: Effort | None = None
 ) -> ShapeFits:
     """Find the best solid of every class in a region.
 
@@ -234,8 +228,6 @@ def fit_shapes(
         encloses plus the code length of its nodes.
     correlation_area
         Pixels over which speckle is correlated, at least 1.
-    ranges
-        Of parameters that are searched.
 
     Raises
     ------
@@ -243,11 +235,7 @@ def fit_shapes(
         As image_row_sums does.
     """
     return fit_to(
-        image_row_sums(region, correlation_area, looks=looks),
-        region,
-        contour_cost,
-        Effort() if effort is None else effort,
-        ranges,
+        image_row_sums(region, correlation_area), region, contour_cost, Effort() if effort is None else effort
     )
 
 

@@ -12,35 +12,33 @@ from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region, requir
 from auv_mcm.kernels.order import median
 from auv_mcm.kernels.shape import MIN_MEAN, PENCIL, Array, Beam, ImageRowSums
 
+_MEAN_OVER_MEDIAN: Final = (1.0 - 1.0 / 9.0) ** -3.0  # of the intensity of single looks
 _CAP: Final = 3.0  # times the floor's mean; one echo of the floor in twenty is that strong
 # Gauss-Hermite of three points: widths off, share
 _QUADRATURE: Final = (0.5 * math.sqrt(1.5 / math.log(2.0)), 1.0 / 6.0)
 _NARROW: Final = 0.3  # rows that a beam must cover before its width counts
 
 
-def image_row_sums(region: Region, correlation_area: float, *, looks: float = 1.0) -> ImageRowSums | None:
+def image_row_sums(region: Region, correlation_area: float) -> ImageRowSums | None:
     """Sum along the slices of a region cumulatively; None if it holds no measured pixel.
 
     correlation_area: pixels over which speckle is correlated, at least 1. Pixels that are not valid, not finite or
     negative have no part. Echoes are cut off at three times the floor: the brightness of a highlight depends little on
-    the shape, and one glint would outvote a shadow. The floor is taken from the median, which is (1 - 1 / 9L)^3 of a
-    Gamma distribution's mean. What makes speckle correlated smears highlights too: by the pixels that, added in squares
-    to the pixel itself, make up the correlation area. In the image of a squinted sub-aperture a slice is a line sheared
-    by tan(squint): a point at ground range y is drawn in the row where it was closest, y tan(squint) ahead of where its
-    slice started. Columns are shifted by whole rows so that slices become rows again, the one of the region's middle
-    column staying where it was; distances are then those along and across the slices. Raises ValueError as
-    require_sound does, and for a correlation area below 1 or less than half a look.
+    the shape, and one glint would outvote a shadow. The floor is taken from the median, as of a single look. What makes
+    speckle correlated smears highlights too: by the pixels that, added in squares to the pixel itself, make up the
+    correlation area. In the image of a squinted sub-aperture a slice is a line sheared by tan(squint): a point at
+    ground range y is drawn in the row where it was closest, y tan(squint) ahead of where its slice started. Columns are
+    shifted by whole rows so that slices become rows again, the one of the region's middle column staying where it was;
+    distances are then those along and across the slices. Raises ValueError as require_sound does, and for a correlation
+    area below 1.
     """
     require_sound(region)
-    if not (1.0 <= correlation_area < math.inf and 0.5 <= looks < math.inf):
-        raise ValueError(
-            f"correlation_area must be at least 1 and looks at least 0.5, both finite, not {correlation_area} and "
-            f"{looks}"
-        )
+    if not 1.0 <= correlation_area < math.inf:
+        raise ValueError(f"correlation_area must be at least 1 and finite, not {correlation_area}")
     counted = counted_pixels(region)
     if not (region.intensity[counted] > 0.0).any():
         return None
-    floor = median(region.intensity[counted]) * (1.0 - 1.0 / (9.0 * looks)) ** -3.0
+    floor = median(region.intensity[counted]) * _MEAN_OVER_MEDIAN
     if floor == 0.0:
         positive = region.intensity[counted]
         floor = median(positive[positive > 0.0])
@@ -58,13 +56,13 @@ def image_row_sums(region: Region, correlation_area: float, *, looks: float = 1.
         column_spacing_m=region.column_spacing_m / cosine,
         first_ground_range_m=region.first_ground_range_m / cosine,
         altitude_m=region.altitude_m,
-        samples_per_pixel=looks / correlation_area,
+        samples_per_pixel=1.0 / correlation_area,
         smear_m=region.column_spacing_m * math.sqrt(correlation_area - 1.0),
         shear=math.tan(region.squint_rad),
     )
 
 
-def labels_cost(region: Region, labels: NDArray[np.uint8], correlation_area: float, *, looks: float = 1.0) -> float:
+def labels_cost(region: Region, labels: NDArray[np.uint8], correlation_area: float) -> float:
     """Weigh what labels of pixels explain, in nats against a floor without an object; 0 if nothing was measured.
 
     The scale is that of the costs of solids.
@@ -72,7 +70,7 @@ def labels_cost(region: Region, labels: NDArray[np.uint8], correlation_area: flo
     labels: (n_rows, n_columns) uint8 of BACKGROUND, SHADOW and HIGHLIGHT. With the code length of its contours added,
     this is what a free contour costs. Raises ValueError as image_row_sums does, and for labels of another shape.
     """
-    return labels_cost_of(image_row_sums(region, correlation_area, looks=looks), region, labels)
+    return labels_cost_of(image_row_sums(region, correlation_area), region, labels)
 
 
 def labels_cost_of(image: ImageRowSums | None, region: Region, labels: NDArray[np.uint8]) -> float:

@@ -32,6 +32,9 @@ LEVELS_NATS: Final[Array] = LOWEST_NATS + BIN_NATS * np.arange(N_BINS, dtype=np.
 KNOTS_NATS: Final[Array] = np.array([LOWEST_NATS, -3.5, -2.25, -0.75, 1.0, 3.0])
 """Where the logarithm of the density bends: closer together where contacts are many."""
 
+MIN_AREA_KM2: Final = 1e-4
+"""Of a few pings, which contacts count as come from: they can be placed where nothing is covered, as in a turn."""
+
 _MAX_STEPS: Final = 60  # of Newton's method; a guard, it settles in a few
 _MAX_HALVINGS: Final = 30  # of one step: 1e-9 of it is left, below _SETTLED_NATS
 _SETTLED_NATS: Final = 1e-7  # nats of the density's logarithm: far below its error
@@ -226,13 +229,9 @@ def _observed(counts: ArrayLike, area_km2: float, reported_from_nats: float) -> 
         raise ValueError(f"counts must be {N_BINS} numbers of contacts, got shape {n.shape}")
     if not (math.isfinite(area_km2) and area_km2 >= 0.0):
         raise ValueError(f"the area searched must be finite and not negative, got {area_km2} km²")
-    # Contacts can be placed where nothing counts as covered, as in a turn: they need some area to have come from.
-    area_km2 = max(area_km2, n.any() * _MIN_AREA_KM2)
+    area_km2 = max(area_km2, n.any() * MIN_AREA_KM2)
     is_reported = reported_from_nats - 1e-9 <= LEVELS_NATS
     return np.where(is_reported, n, 0.0), np.where(is_reported, area_km2, 0.0)
-
-
-_MIN_AREA_KM2: Final = 1e-4  # a hundredth of a hectare: a few pings
 
 
 def _log_survival(values: Array, covariance: Array) -> tuple[Array, Array]:

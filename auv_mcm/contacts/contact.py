@@ -83,14 +83,14 @@ def error_ellipse(contact: Contact) -> tuple[float, float, float]:
     return major_m, minor_m, math.degrees(math.atan2(axes[0, 1], axes[1, 1])) % 180.0
 
 
-def error_ellipse_ring_m(contact: Contact, sigmas: float = ELLIPSE_SIGMAS, n_points: int = 36) -> NDArray[np.float64]:
+def error_ellipse_ring_m(contact: Contact, sigmas: float = ELLIPSE_SIGMAS) -> NDArray[np.float64]:
     """Draw the error ellipse around a contact.
 
-    (n_points + 1, 2) float64 east and north, m, closed and counter-clockwise. All are NaN where the covariance is
+    (37, 2) float64 east and north, m, closed and counter-clockwise. All are NaN where the covariance is
     unknown.
     """
     major_m, minor_m, direction_deg = error_ellipse(contact)
-    angle = np.linspace(0.0, 2.0 * np.pi, n_points + 1)
+    angle = np.linspace(0.0, 2.0 * np.pi, 37)
     along, across = sigmas * major_m * np.cos(angle), -sigmas * minor_m * np.sin(angle)
     sine, cosine = math.sin(math.radians(direction_deg)), math.cos(math.radians(direction_deg))
     ring = np.column_stack([along * sine + across * cosine, along * cosine - across * sine])

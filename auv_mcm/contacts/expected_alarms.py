@@ -15,11 +15,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from auv_mcm.classify.beliefs import MINE_LIKE_P
-from auv_mcm.contacts.background import BIN_NATS, LOWEST_NATS
+from auv_mcm.contacts.background import LOWEST_NATS, MIN_AREA_KM2
 from auv_mcm.detect.belief import odds_of
 
 _SIGMAS_95: Final = 1.959964  # standard deviations of the ends of the central 95 %
-_MIN_AREA_KM2: Final = 1e-4  # a few pings: contacts can be placed where nothing counts as covered, as in a turn
 _ON_BARE_FLOOR: Final = 0.5  # of the false alarms called: 139 of 307 per km² on ten named scenes
 
 
@@ -52,11 +51,11 @@ def expected_alarms(log_odds: ArrayLike, area_km2: float) -> ExpectedAlarms:
     """Expect false alarms on an area from contacts of these log-odds (n,)."""
     nats = np.sort(_counted(log_odds))
     expected = np.append(0.0, np.cumsum(_no_mine(nats[::-1])))
-    return ExpectedAlarms(nats, expected, max(area_km2, _MIN_AREA_KM2))
+    return ExpectedAlarms(nats, expected, max(area_km2, MIN_AREA_KM2))
 
 
 def called_from_nats(log_odds: ArrayLike, area_km2: float, asked_per_km2: float) -> float:
-    """Find the lowest log-odds called, a quarter neper above all contacts where none is.
+    """Find the lowest log-odds called.
 
     Contacts are taken from the likeliest down, as long as the lower end of the 95 % interval of the false alarms
     expected among them on bare floor stays within asked_per_km2 on area_km2. Where the area is too small for the rate
@@ -65,13 +64,8 @@ def called_from_nats(log_odds: ArrayLike, area_km2: float, asked_per_km2: float)
     nats = np.sort(_counted(log_odds))[::-1]
     lower_end = _ON_BARE_FLOOR * poisson_end(np.cumsum(_no_mine(nats)), -_SIGMAS_95)
     n_called = int(np.count_nonzero(lower_end <= max(asked_per_km2 * area_km2, 1.0)))
-    if n_called == len(nats):
-        level = LOWEST_NATS
-    elif n_called == 0:
-        level = float(nats[0]) + BIN_NATS
-    else:
-        # Half way to the first that is not called, so that nothing hangs on the last bit of either.
-        level = float(0.5 * (nats[n_called - 1] + nats[n_called]))
+    # Half way to the first that is not called, so that nothing hangs on the last bit of either.
+    level = LOWEST_NATS if n_called == len(nats) else float(0.5 * (nats[n_called - 1] + nats[n_called]))
     return max(level, odds_of(MINE_LIKE_P)) if is_short(area_km2, asked_per_km2) else level
 
 

@@ -26,7 +26,7 @@ Feature: TypeAlias = Literal[
 ]
 
 LOG_RANGE: Final = (-1.5, 3.5)
-"""Bounds of ln(ground range / altitude), as the odds of a mine have them."""
+"""Bounds of ln(ground range / altitude), 0.2 to 33 altitudes: beyond them no gate, odds or verifier was fitted."""
 _FILE: Final = "gate.json"
 
 _Nats: TypeAlias = Annotated[float, msgspec.Meta(ge=-1e3, le=1e3)]
