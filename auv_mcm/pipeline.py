@@ -243,7 +243,6 @@ class Pipeline:
             if trace is not None:
                 self._n_new_samples += trace.samples.size
                 events += check.check(trace, event.place)
-        events += self._sampling.add(prepared)
         with self._timed["law"]:
             verdict = self._law.add(prepared)
         if self._waterfall is None:
@@ -312,9 +311,11 @@ class Pipeline:
                 events += self._look(tiles)
                 events += self._conclude([self._suppressors[side].flush() for side in SIDES])
                 self._intake.start_segment(self._waterfall.next_segment_m())
+                self._sampling.start_segment()
                 if item.transfer is not None:
                     self._waterfall.read_as(item.transfer)
             else:
+                events += [notice for ping in item.pings for notice in self._sampling.add(ping)]
                 with self._timed["waterfall"]:
                     tiles = self._waterfall.add(self._intake.place_along_track(item))
                 events += self._look(tiles)

@@ -25,7 +25,10 @@ class Sampling:
         self._is_reported = False
 
     def add(self, ping: Ping) -> list[Notice]:
-        """Take a ping; return a notice where its samples are the first to be too far apart."""
+        """Take a ping; return a notice where its samples are the first to be too far apart.
+
+        Pings come in order of time within a segment.
+        """
         coarsest_m = 0.0
         for side, trace in zip(_SIDES, (ping.port, ping.starboard), strict=True):
             if trace is None:
@@ -42,6 +45,11 @@ class Sampling:
             "sea floor, and nothing counts as covered. Log more samples a ping or set a shorter range."
         )
         return [Notice(code="coverage.samples_too_coarse", text=text, place=ping.place)]
+
+    def start_segment(self) -> None:
+        """Forget former changes: the tiles before are done, and the clock may have been set back."""
+        for changes in self._changes.values():
+            changes[:] = [(-np.inf, changes[-1][1])]
 
     def coarse_rows(self, tile: Tile) -> NDArray[np.bool_]:
         """Select the rows of a tile whose samples are too far apart, (n_rows,); tiles come in order of time."""

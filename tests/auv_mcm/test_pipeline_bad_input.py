@@ -90,6 +90,40 @@ def test_the_undisturbed_mission_finds_its_target() -> None:
     assert finds_the_target(undisturbed()[0])
 
 
+@pytest.mark.parametrize(
+    "stamped",
+    [
+        lambda n, event: NAN if n == 0 and isinstance(event, Ping) else event.time_s,
+        lambda n, event: event.time_s + 1e6 * (n == 0 and isinstance(event, Ping)),
+        lambda n, event: event.time_s - 3600.0 * (n >= 100),
+    ],
+    ids=["first ping at no time", "first ping far ahead", "clock set back"],
+)
+def test_no_wrong_stamp_earns_coverage_for_samples_too_far_apart(
+    stamped: Callable[[int, Ping | NavSample], float],
+) -> None:
+    events, n_pings = [], 0
+    for event in changed(lambda _, ping: coarser(ping, 16)):
+        assert not isinstance(event, Notice)
+        events.append(msgspec.structs.replace(event, time_s=stamped(n_pings, event)))
+        n_pings += isinstance(event, Ping)
+    _, out = run(events)
+    patches = [event for event in out if isinstance(event, CoveragePatch)]
+    assert patches
+    assert [patch.covered_m2 for patch in patches] == [0.0] * len(patches)
+    assert [event.code for event in out if isinstance(event, Notice)].count("coverage.samples_too_coarse") == 1
+
+
+def coarser(ping: Ping, by: int) -> Ping:
+    """The ping with every sample but each `by`-th left out."""
+
+    def of(trace: EchoTrace | None) -> EchoTrace | None:
+        kept = None if trace is None else trace.samples[::by]
+        return None if trace is None else msgspec.structs.replace(trace, samples=kept, spacing_m=by * trace.spacing_m)
+
+    return msgspec.structs.replace(ping, port=of(ping.port), starboard=of(ping.starboard))
+
+
 def half_the_samples(samples: NDArray[np.generic]) -> NDArray[np.generic]:
     return samples[: samples.shape[0] // 2]
 
