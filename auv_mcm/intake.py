@@ -185,6 +185,9 @@ class Intake:
                 self._leap = ping  # a hole in time, a clock that was set, or one bad stamp: the next ping decides
                 return []
             return self._accept(ping)
+        if (whole := _joined(leap, ping)) is not None:
+            self._leap = whole  # its other side has the same stamp, and confirms nothing
+            return []
         if ping.time_s < leap.time_s or leap.time_s < self._newest_s < ping.time_s + _CLOCK_STEP_S:
             self._counters["ping.time_leap"] += 1
             return self.add_ping(ping)
@@ -221,13 +224,8 @@ class Intake:
     def _joins(self, ping: Ping) -> bool:
         """Join a ping to the newest one where that has its time and only the other side; check whether it did."""
         newest = self._pending[-1] if self._pending else None
-        if not isinstance(newest, Ping) or newest.time_s != ping.time_s:
-            return False
-        if ping.starboard is None and newest.port is None:
-            whole = structs.replace(newest, port=ping.port)
-        elif ping.port is None and newest.starboard is None:
-            whole = structs.replace(newest, starboard=ping.starboard)
-        else:
+        whole = _joined(newest, ping) if isinstance(newest, Ping) else None
+        if whole is None:
             return False
         self._pending[-1], self._run = whole, []
         return True
@@ -398,6 +396,15 @@ def _rate(change: NDArray[np.float64], span_s: NDArray[np.float64]) -> NDArray[n
     Zero where there is hardly any time to see one, as with navigation that came and went.
     """
     return np.divide(change, span_s, out=np.zeros(change.shape), where=span_s > 0.5 * _RATE_HALF_SPAN_S)
+
+
+def _joined(one: Ping, other: Ping) -> Ping | None:
+    """Join two pings of one time that have a side each; None for others."""
+    if one.time_s == other.time_s and other.starboard is None and one.port is None:
+        return structs.replace(one, port=other.port)
+    if one.time_s == other.time_s and other.port is None and one.starboard is None:
+        return structs.replace(one, starboard=other.starboard)
+    return None
 
 
 def _is_alike(ping: Ping, first: Ping) -> bool:

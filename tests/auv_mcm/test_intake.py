@@ -196,17 +196,8 @@ def test_one_wrong_stamp_of_navigation_changes_no_pose(wrong_s: float) -> None:
 
 
 def test_repeated_and_slightly_older_times_are_dropped_and_counted() -> None:
-    pings = [
-        ping(0),
-        ping(1),
-        ping(100, START_S + PING_S),
-        ping(2),
-        ping(101, START_S + 0.15),
-        ping(3),
-        ping(102, START_S - 0.6),
-        ping(4),
-    ]
-    fed = Fed().feed(pings).flush()
+    late = [ping(100, START_S + PING_S), ping(101, START_S + 0.15), ping(102, START_S - 0.6)]
+    fed = Fed().feed([ping(0), ping(1), late[0], ping(2), late[1], ping(3), late[2], ping(4)]).flush()
     assert fed.segments == [[0, 1, 2, 3, 4]]
     assert fed.counters["ping.time_repeated"] == 1
     assert fed.counters["ping.time_backwards"] == 2
@@ -271,6 +262,15 @@ def test_a_single_ping_of_another_time_costs_that_ping_alone(leap_s: float) -> N
     pings = [ping(i) for i in range(40)]
     fed = Fed().feed([*pings[:20], ping(1000, START_S + leap_s), *pings[20:]]).flush()
     assert fed.segments == [list(range(40))]
+    assert fed.counters["ping.time_leap"] == 1
+
+
+@pytest.mark.parametrize("leap_s", [-START_S, -30.0, 30.0, 86400.0])
+def test_both_sides_of_a_ping_of_another_time_do_not_confirm_each_other(leap_s: float) -> None:
+    events = mission(100)
+    halves = [structs.replace(ping(1000, START_S + leap_s), **{side: None}) for side in ("starboard", "port")]
+    fed, undisturbed = Fed().feed([*events[:60], *halves, *events[60:]]).flush(), Fed().feed(events).flush()
+    assert_same_blocks(fed, undisturbed)
     assert fed.counters["ping.time_leap"] == 1
 
 
