@@ -30,6 +30,7 @@ from auv_mcm.settings.config import ContactsConfig
 # s within which one pass may show an object twice, in tiles that overlap; chosen, not measured
 _SAME_LOOK_S: Final = 30.0
 _SAME_LOOK_M: Final = 300.0  # m of track, 10 m/s for that time: a clock that was set may give it to a later pass
+_SAME_TRACK_M: Final = 10.0  # m of track on which no vehicle comes back on its course: however long it stops, one look
 _SAME_LOOK_RAD: Final = math.radians(45.0)
 _SEARCH_M: Final = 1e-3  # beyond the gate, so that rounding leaves nothing out
 
@@ -227,7 +228,9 @@ def _passages(detections: list[Detection]) -> list[list[Detection]]:
 
 def _same_look(a: Detection, b: Detection) -> bool:
     apart_m = abs(a.row - b.row) * a.row_spacing_m
-    return a.squint_rad == b.squint_rad and apart_m < _SAME_LOOK_M and _same_passage(a, b)
+    if a.squint_rad != b.squint_rad or apart_m >= _SAME_LOOK_M:
+        return False
+    return _same_passage(a, b) or (apart_m < _SAME_TRACK_M and _turned_rad(a, b) < _SAME_LOOK_RAD)
 
 
 def _beside(a: Detection, b: Detection) -> bool:

@@ -86,7 +86,8 @@ def test_detections_of_one_passage_never_join_even_at_one_place() -> None:
     book = ledger()
     book.add([view(0.0, 0.0, 100.0), view(0.0, 0.1, 100.1)])
     book.add([view(0.0, 0.05, 101.0, heading_rad=math.radians(40.0))])  # a course that swings is no turn
-    assert len(book.contacts) == 3
+    book.add([view(0.0, 1.0, 190.0, row=1525.0)])  # nor does who stops come back
+    assert len(book.contacts) == 4
 
 
 def test_sub_apertures_of_one_passage_are_views_of_the_same_objects() -> None:

@@ -99,7 +99,8 @@ class Everything:
         if math.hypot(*(there - here)) > CONFIG.max_gate_m:
             return None
         if any(
-            abs(view.time_s - detection.time_s) < 30.0 and turned(view, detection) < math.pi / 4
+            (abs(view.time_s - detection.time_s) < 30.0 or abs(view.row - detection.row) * view.row_spacing_m < 10.0)
+            and turned(view, detection) < math.pi / 4
             for view in contact.views
         ):
             return None
@@ -151,15 +152,17 @@ def missions(draw: st.DrawFn) -> list[list[Detection]]:
     random = np.random.Generator(np.random.PCG64(draw(st.integers(0, 2**32))))
     frame = draw(st.sampled_from(PLACES))
     sites = np.concatenate([random.uniform(-6.0, 6.0, (4, 2)), random.uniform(-3000.0, 3000.0, (3, 2))])
-    time_s, batches = 0.0, []
+    time_s, row, batches = 0.0, 0.0, []
     for _ in range(draw(st.integers(1, 8))):
-        time_s += float(random.choice([1.0, 40.0, 5000.0]))
+        pause_s = float(random.choice([1.0, 40.0, 5000.0]))
+        time_s, row = time_s + pause_s, row + 15.0 * pause_s
         heading = float(random.choice([0.0, math.pi, 1.2]))
         batch = []
         for east_m, north_m in random.permutation(sites)[: int(random.integers(0, 7))] + random.normal(
             0.0, 0.8, (1, 2)
         ):
-            time_s += float(random.choice([0.1, 0.1, 35.0]))
+            step_s = float(random.choice([0.1, 0.1, 35.0]))
+            time_s, row = time_s + step_s, row + step_s * float(random.choice([0.1, 15.0]))
             heading += float(random.choice([0.0, 0.0, 0.0, math.pi]))
             latitude, longitude, _ = frame.to_geodetic([east_m, north_m, 0.0])
             log_ratio = float(random.normal(0.0, 4.0))
@@ -167,6 +170,7 @@ def missions(draw: st.DrawFn) -> list[list[Detection]]:
             batch.append(
                 drawn_looks.detection(
                     time_s=time_s,
+                    row=row,
                     latitude_deg=float(latitude),
                     longitude_deg=float(longitude),
                     covariance_m2=np.diag(width**2) + 0.1,
@@ -260,7 +264,7 @@ def test_what_the_disk_does_not_give_back_is_a_contact_of_its_own(
 
     with monkeypatch.context() as patch:
         patch.setattr("auv_mcm.contacts.record_file.os.pread", broken)
-        (contact,) = ledger.add([msgspec.structs.replace(view, time_s=900.0)])
+        (contact,) = ledger.add([msgspec.structs.replace(view, time_s=900.0, row=13600.0)])
         assert (contact.id, len(contact.views)) == ("C00002", 1)
     assert records.n_unreadable == 1
     assert [contact.id for contact in ledger.contacts] == ["C00001", "C00002"]
