@@ -55,7 +55,8 @@ class AreaState(NamedTuple):
 
     def words(self) -> str:
         """State the clearance in a few words, rounded down so that it never reads as reached when it is not."""
-        text = f"clearance {math.floor(100.0 * self.p_detected + 1e-9) / 100.0:.2f} of {self.required:.2f}"
+        required = max(f"{self.required:.2f}", f"{self.required:g}", key=len)
+        text = f"clearance {math.floor(100.0 * self.p_detected + 1e-9) / 100.0:.2f} of {required}"
         return text + " reached" * self.is_reached
 
 
@@ -97,7 +98,7 @@ def middles_m(ground: Clearance) -> NDArray[np.float64]:
     return np.stack(np.meshgrid(east, north), axis=-1)
 
 
-def area_state(area: Area, required: float, verdict: str = "") -> AreaState:
+def area_state(area: Area, required: float) -> AreaState:
     """Summarise how the search of the area stands."""
     p = area.ground.p_detected[area.cells]
     return AreaState(
@@ -105,5 +106,4 @@ def area_state(area: Area, required: float, verdict: str = "") -> AreaState:
         required=required,
         p_detected=float(p.mean()),
         share=float(np.mean(p >= required)),
-        verdict=verdict,
     )
