@@ -1,4 +1,4 @@
-"""Recalibrate odds and operating point by what people judged: `auv-mcm calibrate odds --verdicts`.
+"""Recalibrate odds and expected background by what people judged: `auv-mcm calibrate odds --verdicts`.
 
 Three numbers change, each drawn to no change by a normal prior. Log-odds L become L + a + c (L - L0), which is Platt's
 scaling (J. Platt, "Probabilistic outputs for support vector machines", 1999) about L0, the lowest log-odds reported.
@@ -96,28 +96,17 @@ class Refit(NamedTuple):
 def refit(missions: Sequence[JudgedMission], prior: BackgroundPrior) -> Refit:
     """Fit a change to judged missions, and judge it by leaving out one after the other.
 
-    The background is changed only where no mission left out loses a mine by it; what is called hardly depends on the
-    rest. prior: of the background, as it ships for the detector. Raises BadInputError for too few missions or verdicts.
+    prior: of the background, as it ships for the detector. Raises BadInputError for too few missions or verdicts.
     """
     check_evidence(missions)
-    left_out = [fit_change([*missions[:number], *missions[number + 1 :]], prior) for number in range(len(missions))]
-    found = _judged(missions, fit_change(missions, prior), left_out, prior)
-    if any(line.after.called < line.before.called for line in found.lines):
-        change, *left_out = (one._replace(background_nats=0.0) for one in (found.change, *left_out))
-        found = _judged(missions, change, left_out, prior)
-    return found._replace(refusal=_refusal(found))
-
-
-def _judged(
-    missions: Sequence[JudgedMission], change: Change, left_out: Sequence[Change], prior: BackgroundPrior
-) -> Refit:
-    """Judge each mission by the change that the others give."""
     lines = []
-    for mission, others in zip(missions, left_out, strict=True):
+    for number, mission in enumerate(missions):
+        others = fit_change([*missions[:number], *missions[number + 1 :]], prior)
         before, after = (reached(mission, one) for one in (Change(), others))
         lines.append(MissionLine(mission, before, after, log_loss(mission, Change()) - log_loss(mission, others)))
     gains = np.array([line.gain_nats for line in lines if math.isfinite(line.gain_nats)])
-    return Refit(change, tuple(lines), *_interval(gains), "")
+    found = Refit(fit_change(missions, prior), tuple(lines), *_interval(gains), "")
+    return found._replace(refusal=_refusal(found))
 
 
 def check_evidence(missions: Sequence[JudgedMission]) -> None:

@@ -144,7 +144,7 @@ def test_a_change_that_would_miss_mines_or_call_more_of_the_rest_is_refused(monk
         monkeypatch.setattr("sim_replay.fitting.recalibrate.reached", lambda *_, each=counts: next(each))
         found = refit(missions, PRIOR)
         assert ("instead of 15 and 27" in found.refusal) == is_refused
-        assert (found.change.background_nats == 0.0) == (after.called < 5)
+        assert found.change.background_nats != 0.0, "no call goes by it"
 
 
 @pytest.mark.parametrize("change", [Change(), Change(1.1, -0.8), Change(0.8, 0.3), Change(1.0, 0.0, 1.2)])
