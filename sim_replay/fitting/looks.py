@@ -93,7 +93,8 @@ def fly_looks(task: LookTask) -> MissionLooks:
     Raises BadInputError or UsageError for a recorded line, as augment does.
     """
     with flight_of(task) as flight:
-        usual = task.times == 1 and task.source != DRAWN and not Path(task.source).is_dir()
+        is_augmented = task.is_line and Path(task.source).is_dir()
+        usual = task.times == 1 and task.source != DRAWN and not is_augmented
         examples = examples_along(flight.config, flight.events, flight.objects, usual=usual, detector=task.detector)
     return MissionLooks(task, look_table(examples))
 

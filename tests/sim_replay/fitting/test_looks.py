@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from auv_mcm.errors import BadInputError, UsageError
+from auv_mcm.settings.config import Config
 from sim_replay.fitting import looks
 from sim_replay.fitting.cascade.farm import Farm
 from sim_replay.fitting.fit_odds import STEPS, LookTable, StepTable
-from sim_replay.fitting.looks import DRAWN, LookTask, MissionLooks, all_looks, read_looks, write_looks
+from sim_replay.fitting.looks import DRAWN, LookTask, MissionLooks, all_looks, fly_looks, read_looks, write_looks
 from sim_replay.fitting.recorders import RECORDERS
+from sim_replay.flights import Flight
 
 LOG_RECORDER = "log 0.3 dB"
 LINE = "somewhere/reef.xtf"
@@ -62,6 +66,17 @@ def test_missions_in_the_folder_are_not_flown_again(tmp_path: Path, monkeypatch:
     write_looks(drawn_mission(tasks[1]), tmp_path)
     assert [one.task for one in all_looks(tasks, tmp_path, Farm())] == tasks
     assert flown == [tasks[0], tasks[2]]
+
+
+def test_a_folder_of_the_name_of_a_scene_changes_no_mission(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "flat").mkdir()
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(looks, "flight_of", lambda task: nullcontext(Flight("", Config(), iter(()), dict)))
+    monkeypatch.setattr(looks, "examples_along", lambda *_, usual, **how: [usual])
+    monkeypatch.setattr(looks, "look_table", list)
+    tasks = LookTask("flat", 1), LookTask(LINE, 5), LookTask(str(tmp_path / "flat"), 0), LookTask("flat", 1, 3)
+    usual: list[Any] = [fly_looks(task).looks for task in tasks]
+    assert usual == [[True], [True], [False], [False]]
 
 
 def test_a_file_that_holds_no_looks_is_named(tmp_path: Path) -> None:

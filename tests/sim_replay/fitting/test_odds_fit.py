@@ -111,15 +111,6 @@ def test_a_known_logistic_model_is_recovered() -> None:
         assert abs(value - truth) < 4.0 * error, name
 
 
-def test_examples_count_as_often_as_they_stand_for() -> None:
-    examples = drawn(300, 3, (1.0, 2.0, 4.0))
-    repeated = [item._replace(weight=1.0) for item in examples for _ in range(int(item.weight))]
-    weighted, plain = fit(examples, "once"), fit(repeated, "once")
-    assert weighted.prior == plain.prior
-    assert shape_of(weighted).offset == pytest.approx(shape_of(plain).offset, abs=1e-4)
-    assert shape_of(weighted).weights == pytest.approx(shape_of(plain).weights, abs=1e-4)
-
-
 @pytest.mark.parametrize("value", [0.0, 0.1, 1e-9, -1234.567])
 def test_a_feature_that_never_varies_weighs_nothing(value: float) -> None:
     examples = drawn(300, 4, (1.0, 4.0))
@@ -176,10 +167,6 @@ def test_separable_examples_give_finite_weights() -> None:
     examples = [example({"a": float(number), "b": 0.0, "c": 0.0}, number >= 10) for number in range(20)]
     weight = shape_of(fit(examples, "separable")).weights["a"]
     assert 0.0 < weight < 5.0
-
-
-def test_equal_examples_give_equal_weights() -> None:
-    assert fit(drawn(200, 9), "drawn") == fit(drawn(200, 9), "drawn")
 
 
 def test_trees_weigh_what_a_sum_misses_and_details_as_well() -> None:
