@@ -121,7 +121,7 @@ class SonarVariant(_Section, frozen=True, kw_only=True):
 class AugmentedLog(_Section, frozen=True, kw_only=True):
     """Name a folder that `auv-mcm augment` wrote, and which split its sea floor belongs to.
 
-    The path begins at the spec's own folder.
+    The path begins at the spec's own folder. Its picture has the grid of the first sonar.
     """
 
     folder: str
@@ -214,7 +214,8 @@ def lines_of(spec: Spec, folder: Path) -> tuple[SimulatedLine | AugmentedLine, .
         for number, seed in enumerate(seeds.seeds)
         for label, scene in scenes.items()
     ]
-    return (*simulated, *(AugmentedLine(folder / log.folder, Config(), log.split) for log in spec.augmented))
+    own = on_grid(Config(), spec.sonars[0])
+    return (*simulated, *(AugmentedLine(folder / log.folder, own, log.split) for log in spec.augmented))
 
 
 def carrying(scene: Scene, sonar: SonarVariant) -> Scene:

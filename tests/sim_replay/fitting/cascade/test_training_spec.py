@@ -134,7 +134,7 @@ def test_scene_files_and_augmented_logs_are_looked_for_beside_the_spec(tmp_path:
     (tmp_path / "set.yaml").write_text(
         "scenes: [mine.yaml]\nseeds: {train: {first: 600, count: 1}}\ntargets: {per_mission: 5}\nrocks: {per_mission: "
         "3}\n"
-        "augmented: [{folder: line1, split: validate}]"
+        "sonars: [{row_spacing_m: 0.2, column_spacing_m: 0.1}, {}]\naugmented: [{folder: line1, split: validate}]"
     )
     first, second = lines_of(*read_training_spec(tmp_path / "set.yaml"))
     assert isinstance(first, SimulatedLine)
@@ -142,6 +142,8 @@ def test_scene_files_and_augmented_logs_are_looked_for_beside_the_spec(tmp_path:
     assert first.background == "mine/600"
     assert Counter(target.is_target for target in place_objects(first.scene)) == {True: 5, False: 3}
     assert (second.folder, second.split) == (tmp_path / "line1", "validate")
+    assert second.config.waterfall == first.config.waterfall, "of the first sonar"
+    assert second.config.waterfall.column_spacing_m == 0.1
 
 
 SEEDS = "seeds: {train: {first: 600, count: 2}}\n"
