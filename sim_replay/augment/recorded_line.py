@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
@@ -28,13 +28,13 @@ def scattered(seed: int) -> TargetSpec:
     return TargetSpec(seed=seed, scatter=(targets, rocks))
 
 
-def check_lines(logs: Sequence[Path], seeds: Sequence[int], drawn: Callable[[int], TargetSpec] = scattered) -> None:
+def check_lines(logs: Sequence[Path], seeds: Sequence[int]) -> None:
     """Reject recorded lines that cannot be read or have no room for the objects of a seed, before any mission is flown.
 
-    drawn: gives what is embedded by a seed. Raises BadInputError or UsageError, as augment does.
+    Raises BadInputError or UsageError, as augment does.
     """
     for log in logs:
         open_log(log, Config())
         track = track_of(read_survey(log, Config()), Config())
         for seed in seeds:
-            place_targets(drawn(seed), track)
+            place_targets(scattered(seed), track)

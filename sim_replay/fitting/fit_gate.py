@@ -52,11 +52,7 @@ class PlaceOutcome(NamedTuple):
 
 
 def fit_gate(
-    by_cascade: Sequence[PlaceOutcome],
-    by_contrast: Sequence[PlaceOutcome],
-    min_p_mine: float,
-    fitted_on: str,
-    lost_share: float = LOST_SHARE,
+    by_cascade: Sequence[PlaceOutcome], by_contrast: Sequence[PlaceOutcome], min_p_mine: float, fitted_on: str
 ) -> Gate:
     """Fit the two forecasts of a gate.
 
@@ -65,8 +61,8 @@ def fit_gate(
     without_cascade: tuple[Feature, ...] = ("range", "range_squared", *_CONTRAST)
     return Gate(
         fitted_on=fitted_on,
-        both=_fit(by_cascade, (*_CASCADE, *_CONTRAST), min_p_mine, lost_share),
-        contrast=_fit(by_contrast, without_cascade, min_p_mine, lost_share),
+        both=_fit(by_cascade, (*_CASCADE, *_CONTRAST), min_p_mine),
+        contrast=_fit(by_contrast, without_cascade, min_p_mine),
     )
 
 
@@ -116,13 +112,13 @@ def _outcome(scene: str, view: Detection) -> PlaceOutcome:
     return PlaceOutcome(scene, view.ground_range_m, view.altitude_m, view.cascade_score, view.score, view.p_mine)
 
 
-def _fit(outcomes: Sequence[PlaceOutcome], names: Sequence[Feature], min_p_mine: float, lost_share: float) -> Forecast:
+def _fit(outcomes: Sequence[PlaceOutcome], names: Sequence[Feature], min_p_mine: float) -> Forecast:
     features, p_mine = _features(outcomes)
     lowest = math.log(min_p_mine / (1.0 - min_p_mine))
     with np.errstate(divide="ignore"):
         log_odds = np.maximum(np.log(p_mine) - np.log1p(-p_mine), _LOWEST_NATS)
     reported = p_mine >= min_p_mine
-    if np.count_nonzero(reported) * lost_share < 1.0:
+    if np.count_nonzero(reported) * LOST_SHARE < 1.0:
         raise UsageError(
             f"{np.count_nonzero(reported)} detections to report are too few to know the margin. Fly more missions, "
             "with --seeds"
@@ -133,7 +129,7 @@ def _fit(outcomes: Sequence[PlaceOutcome], names: Sequence[Feature], min_p_mine:
     offset, *weights = (round(float(value), _DIGITS) for value in found)
     forecast = Forecast(offset=offset, weights=dict(zip(names, weights, strict=True)), margin_nats=0.0)
     short = lowest - forecast.log_odds(features)[reported]
-    margin = math.ceil(float(np.quantile(short, 1.0 - lost_share)) * 10.0**_DIGITS) / 10.0**_DIGITS
+    margin = math.ceil(float(np.quantile(short, 1.0 - LOST_SHARE)) * 10.0**_DIGITS) / 10.0**_DIGITS
     return msgspec.structs.replace(forecast, margin_nats=margin)
 
 

@@ -51,6 +51,7 @@ _WAY_TO_TILES: Final = ("intake", "law", "waterfall")
 _OF_PIXELS: Final = ("seabed", "coverage")
 _OF_CONTOURS: Final[tuple[ExaminationStep, ...]] = ("first contours", "second contours")
 _DIGITS: Final = 3  # significant, of a price
+_N_COLUMNS: Final = 1000  # of the tile that prices are explained by: 60 m of ground range, 0.06 m each
 _SIDES: Final = 2  # port and starboard share the time
 _US_PER_S: Final = 1e6  # microseconds per second
 
@@ -156,16 +157,16 @@ def _measured_once(events: Iterable[SourceEvent], config: Config, known: BudgetC
     return PriceList(prices, {"samples": n_samples, "pixels": n_pixels, "peaks": n_peaks, **n_work})
 
 
-def price_words(prices: BudgetConfig, config: Config, speed_mps: float, duty: float, n_columns: int = 1000) -> str:
-    """Say what a duty buys at a speed over ground, for a tile of so many columns."""
+def price_words(prices: BudgetConfig, config: Config, speed_mps: float, duty: float) -> str:
+    """Say what a duty buys at a speed over ground, for a tile of _N_COLUMNS columns."""
     grid = config.waterfall
     period_s = grid.tile_rows * grid.row_spacing_m / speed_mps / _SIDES
-    bare = Allowance(duty * period_s * _US_PER_S, grid.tile_rows * n_columns * prices.pixel_us, prices)
+    bare = Allowance(duty * period_s * _US_PER_S, grid.tile_rows * _N_COLUMNS * prices.pixel_us, prices)
     n_comparisons = bare.comparisons() or 0
     return (
         f"at {speed_mps:g} m/s a tile every {period_s:.1f} s; {duty:.0%} of one core is {bare.total_us / 1e3:.0f} ms "
         "of work on each. "
-        f"Of that, for {n_columns} columns:\n"
+        f"Of that, for {_N_COLUMNS} columns:\n"
         f"  {bare.cheapest_us / 1e3:.0f} ms for the cheapest pass, and {prices.sample_us:g} us for each stored sample\n"
         f"  {bare.left_us / 1e3:.0f} ms more, in which the cascade could make {n_comparisons / 1e6:.0f} million "
         "comparisons\n"

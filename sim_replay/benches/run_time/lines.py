@@ -44,11 +44,11 @@ class BenchMission(NamedTuple):
     truth: Truth
 
 
-def with_short_legs(scene: Scene, seed: int, leg_share: float = LEG_SHARE) -> Scene:
+def with_short_legs(scene: Scene, seed: int) -> Scene:
     """Shorten a scene's legs and set its seed; all its objects lie on them."""
     plan = scene.track.plan
     if isinstance(plan, Lawnmower):
-        plan = msgspec.structs.replace(plan, leg_m=plan.leg_m * leg_share)
+        plan = msgspec.structs.replace(plan, leg_m=plan.leg_m * LEG_SHARE)
     return msgspec.structs.replace(scene, seed=seed, track=msgspec.structs.replace(scene.track, plan=plan))
 
 

@@ -182,7 +182,7 @@ def _null(asked: tuple[float, float], watch: Watch, _: bool) -> Found:
     return Found(float(max(abs(value) for value in step)), condition=float(np.linalg.cond(covariance)))
 
 
-def whole_masses(seed: int, n: int, ignorance: int = GRID // 20) -> list[list[int]]:
+def whole_masses(seed: int, n: int) -> list[list[int]]:
     """Draw n masses in units of 1 / GRID, every other one of a few sets only."""
     random = random_of(seed)
     masses = []
@@ -190,7 +190,7 @@ def whole_masses(seed: int, n: int, ignorance: int = GRID // 20) -> list[list[in
         weights = random.exponential(size=N_SUBSETS) ** 6 * (random.random(N_SUBSETS) < (1.0, 0.2)[k % 2])
         weights[[0, EVERYTHING]] = 0.0
         weights[1 + k % EVERYTHING] += 1.0
-        mass: list[int] = np.floor(weights / weights.sum() * (GRID - ignorance)).astype(int).tolist()
+        mass: list[int] = np.floor(weights / weights.sum() * (GRID - GRID // 20)).astype(int).tolist()
         mass[EVERYTHING] += GRID - sum(mass)
         masses.append(mass)
     return masses

@@ -160,13 +160,6 @@ def read_manifest(folder: Path) -> Manifest:
     return manifest
 
 
-def read_tiles(folder: Path, manifest: Manifest, split: Split) -> Iterator[LabelledTile]:
-    """Read all tiles of a split, shard by shard. Raises BadInputError as read_shard does."""
-    for shard in manifest.shards:
-        if shard.split == split:
-            yield from read_shard(folder, shard)
-
-
 def read_shard(folder: Path, shard: Shard) -> Iterator[LabelledTile]:
     """Iterate over the tiles of one shard, each read when its turn comes.
 

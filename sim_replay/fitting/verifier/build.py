@@ -20,7 +20,7 @@ from sim_replay.fitting.fit_odds import written
 from sim_replay.fitting.looks import DRAWN, LookTask
 from sim_replay.fitting.recorders import RECORDED_SCENES, RECORDERS
 from sim_replay.fitting.verifier.mill import DENSE, FIRST_PATCHES, FIRST_SEED, FIRST_SHELLY, FIRST_SLABS, MINE, fly_all
-from sim_replay.fitting.verifier.train import N_EPOCHS, ChipTable, needs_packages, train, written_as_onnx
+from sim_replay.fitting.verifier.train import ChipTable, needs_packages, train, written_as_onnx
 from sim_replay.fitting.verifier.weigh import (
     LIMITS_PER_KM2,
     Array,
@@ -67,12 +67,7 @@ class Built(NamedTuple):
 
 
 def build(
-    folder: Path,
-    n_missions: int,
-    farm: Farm,
-    show: Callable[[int, int], None],
-    say: Callable[[str], None],
-    n_epochs: int = N_EPOCHS,
+    folder: Path, n_missions: int, farm: Farm, show: Callable[[int, int], None], say: Callable[[str], None]
 ) -> Built:
     """Fly what is not in the folder, train the network, fit its weights, and judge both.
 
@@ -103,7 +98,7 @@ def build(
     counts = [int(by_class[: len(MINE_KINDS)].sum()), *by_class[len(MINE_KINDS) :].tolist()]
     digest = digest_of(chips)
     say(f"{len(places)} missions, looks at mines, other objects, floor: {counts}")
-    network = train(chips, n_epochs, show=lambda epoch, loss, _: say(f"pass {epoch}: log-loss {loss:.4f}"))
+    network = train(chips, show=lambda epoch, loss, _: say(f"pass {epoch}: log-loss {loss:.4f}"))
     onnx = written_as_onnx(network)
     return weigh_and_judge(
         onnx,

@@ -18,7 +18,6 @@ from sim_replay.simulator.stones import AZIMUTH, EAST, HEIGHT, LENGTH, NORTH, WI
 from sim_replay.simulator.world import NODES, PATCH, Patches, SimulatedFloor
 
 TYPES: tuple[SeabedType, ...] = get_args(SeabedType)
-PATCH_M = PATCH * 0.05
 BARE = Seabed(type="sand", relief_rms_m=0.0, texture_shape=0.0, stones_per_ha=0.0)
 MOTLEY = scene.World(
     seabeds=tuple(

@@ -12,16 +12,7 @@ import numpy as np
 import pytest
 
 from auv_mcm.errors import BadInputError
-from sim_replay.fitting.cascade.store import (
-    MANIFEST_NAME,
-    Manifest,
-    Packed,
-    pack,
-    read_manifest,
-    read_shard,
-    read_tiles,
-    write_set,
-)
+from sim_replay.fitting.cascade.store import MANIFEST_NAME, Manifest, Packed, pack, read_manifest, read_shard, write_set
 from sim_replay.fitting.cascade.tiles import LabelledTile, TileObject
 
 
@@ -84,11 +75,10 @@ def written(folder: Path) -> Manifest:
 def test_what_is_read_is_what_was_written(tmp_path: Path) -> None:
     manifest = written(tmp_path)
     assert read_manifest(tmp_path) == manifest
-    train, validate = (list(read_tiles(tmp_path, manifest, split)) for split in ("train", "validate"))
+    train, validate = (list(read_shard(tmp_path, shard)) for shard in manifest.shards)
     assert len(train) == 2
     assert all(same(one, made_tile(seed)) for one, seed in zip(train, (1, 2), strict=True))
     assert [tile.background for tile in validate] == ["line one.xtf"]
-    assert list(read_tiles(tmp_path, manifest, "test")) == []
 
 
 def test_the_manifest_counts_objects_of_cores_and_usable_floor(tmp_path: Path) -> None:
@@ -120,8 +110,7 @@ def test_numpy_reads_a_shard(tmp_path: Path) -> None:
 
 
 def test_tiles_are_read_when_their_turn_comes(tmp_path: Path) -> None:
-    manifest = written(tmp_path)
-    tiles = read_tiles(tmp_path, manifest, "train")
+    tiles = read_shard(tmp_path, written(tmp_path).shards[0])
     assert same(next(tiles), made_tile(1))
     tiles.close()  # type: ignore[attr-defined]  # leaves no file open, which the tests would report
 
@@ -145,7 +134,7 @@ def test_damaged_shards_are_reported_before_the_first_tile(
     manifest = written(tmp_path)
     damage(tmp_path / "train-flat_600.npz")
     with pytest.raises(BadInputError, match=rf"train-flat_600\.npz .*{message}.*Render the training set anew"):
-        next(read_tiles(tmp_path, manifest, "train"))
+        next(read_shard(tmp_path, manifest.shards[0]))
 
 
 def test_files_other_than_shards_are_reported(tmp_path: Path) -> None:
