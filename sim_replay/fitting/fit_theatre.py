@@ -21,13 +21,15 @@ from auv_mcm.settings.config import Config, config_yaml
 from auv_mcm.shell.whole_files import write_file
 from sim_replay.fitting.calibrate_odds import Missions, fit_from_missions
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
-from sim_replay.fitting.cascade.spec import on_grid
+from sim_replay.fitting.cascade.spec import AugmentedLine, on_grid
+from sim_replay.fitting.cascade.training_images import check_once
 from sim_replay.fitting.detection_performance import calibrate_performance as performance
 from sim_replay.fitting.detection_performance.fit_performance import fit_performance
 from sim_replay.fitting.fit_background import FIRST_SEED as BACKGROUND_SEED
 from sim_replay.fitting.fit_background import calibrate_background
 from sim_replay.fitting.fit_gate import FIRST_SEED as GATE_SEED
 from sim_replay.fitting.fit_gate import calibrate_gate
+from sim_replay.fitting.fit_odds import FIRST_SEED as ODDS_SEED
 from sim_replay.fitting.looks import LookTask, flight_of
 from sim_replay.fitting.theatre import Theatre, with_files
 from sim_replay.fitting.verifier.own import can_train, own_network
@@ -44,7 +46,8 @@ _DETECTOR: Final = "model.json"
 _PERFORMANCE: Final = "performance.json"
 LIMITS_PER_KM2: Final = (10.0, 30.0, 100.0)
 """False alarms per km² that own and shipped are compared at."""
-_N_MISSIONS: Final = {"odds": 18, "gate": 9, "background": 27}  # or a few more, as of what ships
+_MISSIONS: Final = {"odds": (ODDS_SEED, 18), "gate": (GATE_SEED, 9), "background": (BACKGROUND_SEED, 27)}
+"""First seed, and missions or a few more, as of what ships."""
 
 Show = Callable[[int, int], None]
 Watched = Callable[[str], AbstractContextManager[Show]]
@@ -94,9 +97,10 @@ def fit_theatre(
     Raises
     ------
     UsageError
-        For a folder that cannot be written to or has files of another spec, without PyTorch for the network alone, and
-        as the fits do.
+        For a folder that cannot be written to or has files of another spec, for a spec that judges on what is fitted
+        on, without PyTorch for the network alone, and as the fits do.
     """
+    _refuse_fitted(theatre)
     _begin(folder, spec + _flown_with(theatre), network_alone=network_alone)
     shipped, files = theatre, dict[str, str]()
     for step in _steps(train, farm):
@@ -146,16 +150,14 @@ def _steps(train: Callable[[Path], None], farm: Farm) -> Iterator[Step]:
         place = out.with_name(FILE)
         own = parse_network(read_regular(place), str(place)) if place.exists() else None
         with redirect_stdout(sys.stderr):
-            missions = Missions(n_seeds=_n_seeds("odds", theatre), theatre=theatre.before_odds())
+            missions = Missions(n_seeds=len(_seeds("odds", theatre)), theatre=theatre.before_odds())
             fit_from_missions(out, missions, out.with_name("looks"), farm.workers, show, own)
 
     def gate(theatre: Theatre, out: Path, show: Show) -> None:
-        seeds = range(GATE_SEED, GATE_SEED + _n_seeds("gate", theatre))
-        write_file(out, json_lines(calibrate_gate(seeds, farm, show, theatre)))
+        write_file(out, json_lines(calibrate_gate(_seeds("gate", theatre), farm, show, theatre)))
 
     def background(theatre: Theatre, out: Path, show: Show) -> None:
-        seeds = range(BACKGROUND_SEED, BACKGROUND_SEED + _n_seeds("background", theatre))
-        write_file(out, json_lines(calibrate_background(seeds, farm, show, theatre)))
+        write_file(out, json_lines(calibrate_background(_seeds("background", theatre), farm, show, theatre)))
 
     def tables(theatre: Theatre, out: Path, show: Show) -> None:
         seeds, flights = performance.FIT_SEEDS, performance.FLIGHTS
@@ -172,8 +174,20 @@ def _steps(train: Callable[[Path], None], farm: Farm) -> Iterator[Step]:
     yield Step("performance", _PERFORMANCE, tables)
 
 
-def _n_seeds(step: str, theatre: Theatre) -> int:
-    return math.ceil(_N_MISSIONS[step] / len(theatre.flown))
+def _seeds(step: str, theatre: Theatre) -> range:
+    first, n_missions = _MISSIONS[step]
+    return range(first, first + math.ceil(n_missions / len(theatre.flown)))
+
+
+def _refuse_fitted(theatre: Theatre) -> None:
+    """Refuse to judge on sea floor that is fitted on. Raises UsageError, BadInputError for a line that is not there."""
+    for step in _MISSIONS:
+        if shared := sorted({*_seeds(step, theatre)}.intersection(theatre.test_seeds)):
+            raise UsageError(
+                f"`seeds.test` holds {shared[0]}, a mission that {step} would be fitted on: it would be judged too "
+                "well. Leave out 500 to 517 and 1500 to 1526"
+            )
+    check_once(AugmentedLine(Path(folder), theatre.config, split) for split, folder in theatre.lines)
 
 
 def judged(theatres: dict[str, Theatre], farm: Farm, show: Show) -> str:

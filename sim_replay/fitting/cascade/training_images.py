@@ -135,7 +135,7 @@ def render_set(spec_path: Path | None, folder: Path, farm: Farm) -> Manifest:
     for line in lines:
         if isinstance(line, SimulatedLine):
             _check_room(line)
-    _check_once(lines)
+    check_once(lines)
     make_directory(folder)
     started_s = time.monotonic()
 
@@ -234,7 +234,7 @@ def augmented_truth(path: Path) -> tuple[str, tuple[PlacedTarget, ...]]:
     )
 
 
-def _check_once(lines: Iterable[SimulatedLine | AugmentedLine]) -> None:
+def check_once(lines: Iterable[SimulatedLine | AugmentedLine]) -> None:
     """Reject augmented logs that are not there, and a background that comes again, before missions are rendered."""
     splits: dict[str, str] = {}
     for line in lines:

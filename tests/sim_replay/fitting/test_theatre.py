@@ -63,6 +63,10 @@ CONFIG = "detect: {suppression_m: 1.5}\nsonar: {transfer: log}\nconfirm: {target
 def theatre(tmp_path: Path) -> Theatre:
     (tmp_path / "pond.yaml").write_text(SCENE)
     (tmp_path / "theatre.yaml").write_text(SPEC)
+    for name in ("line", "other"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / f"{name}.xtf").touch()
+        (tmp_path / name / "truth.json").write_text(json.dumps({"background": f"{name}.xtf", "objects": []}))
     return read_theatre(tmp_path / "theatre.yaml", parse_config(CONFIG, "own.yaml"), "")
 
 
@@ -98,7 +102,6 @@ def test_missions_show_nothing_beyond_the_reach_of_the_sonar_carried(theatre: Th
 
 
 def test_a_line_with_targets_is_flown_as_it_lies_there(theatre: Theatre, tmp_path: Path) -> None:
-    (tmp_path / "line").mkdir()
     write_xtf(tmp_path / "line" / "reef.xtf", sonar_logs.mission())
     truth = {"background": "reef.xtf", "area_km2": 0.1, "objects": []}
     (tmp_path / "line" / "truth.json").write_text(json.dumps(truth))
@@ -128,7 +131,6 @@ def test_odds_are_fitted_on_the_own_scenes_and_lines_and_the_network_weighed_bes
     flown: Flown, theatre: Theatre, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "own.yaml").write_text(CONFIG)
-    (tmp_path / "line").mkdir()
     random = np.random.Generator(np.random.PCG64(1))
     label = np.repeat(np.arange(3, dtype=np.int8), 20)
     weighed = Looks(
@@ -151,7 +153,6 @@ def test_odds_are_fitted_on_the_own_scenes_and_lines_and_the_network_weighed_bes
 def test_missions_are_flown_again_after_what_they_go_by_has_changed(
     flown: Flown, theatre: Theatre, tmp_path: Path, changed: str
 ) -> None:
-    (tmp_path / "line").mkdir()
     for name in ("model.json", "line/truth.json"):
         (tmp_path / name).write_text("{}")
     task = LookTask(theatre.flown[0], 500, theatre=theatre.with_files(model=str(tmp_path / "model.json")))
@@ -232,16 +233,29 @@ def test_a_run_goes_on_only_with_what_it_began_with(
         out, train = tmp_path / "own", lambda out: None
         fit_theatre.fit_theatre(theatre, Config(), b"a", out, train, Farm(1), watched, network_alone=True)
 
-    (tmp_path / "line").mkdir()
     fit(theatre)
     if change == "configuration":
         theatre = theatre._replace(config=Config())
     elif change == "scene":
         (tmp_path / "pond.yaml").write_text(SCENE.replace("sand", "mud"))
     else:
-        (tmp_path / "line" / "truth.json").write_text("{}")
+        (tmp_path / "line" / "truth.json").write_text('{"background": "line.xtf", "objects": [], "seed": 2}')
     with pytest.raises(UsageError, match="fitted otherwise"):
         fit(theatre)
+
+
+def test_sea_floor_that_is_fitted_on_is_not_judged_by(theatre: Theatre, tmp_path: Path) -> None:
+    def refusal(theatre: Theatre) -> str:
+        out = tmp_path / "own"
+        with pytest.raises(UsageError) as raised:
+            fit_theatre.fit_theatre(theatre, Config(), b"a", out, print, Farm(1), watched, network_alone=True)
+        assert not out.exists()
+        return str(raised.value)
+
+    for seed, step in ((504, "odds"), (1510, "background")):
+        assert f"holds {seed}, a mission that {step}" in refusal(theatre._replace(test_seeds=(800, seed)))
+    twice = theatre._replace(lines=(*theatre.lines, ("test", str(tmp_path / "line"))))
+    assert "'line.xtf' is in the set twice, for validate and for test" in refusal(twice)
 
 
 def test_a_network_alone_leaves_detector_and_performance_as_they_ship(
