@@ -135,9 +135,13 @@ class Verdict(NamedTuple):
 def judged(expectations: Sequence[Expectation], evidence: Evidence) -> list[Verdict]:
     """Judge a run: by each expectation, and as failed where it was not the run that its scenario describes."""
     verdicts = [judge(expectation, evidence) for expectation in expectations]
-    if evidence.undone:
-        expected = "every fault begins, and every fake device lasts until the end"
-        verdicts.append(Verdict("the run is that of the scenario", expected, "; ".join(evidence.undone), False))
+    undone = [*evidence.undone]
+    is_judged = any(isinstance(expectation.expected, ExitCode) for expectation in expectations)
+    if evidence.stopped_s is None and evidence.killed_s is None and not is_judged:
+        undone.append(f"the service ended by itself after {evidence.ended_s:.1f} s, exit code {evidence.exit_code}")
+    if undone:
+        expected = "every fault begins, and every fake device and the service last until the end"
+        verdicts.append(Verdict("the run is that of the scenario", expected, "; ".join(undone), False))
     return verdicts
 
 

@@ -163,6 +163,16 @@ def test_a_run_that_was_not_that_of_its_scenario_fails_whatever_it_expects() -> 
     assert "'unplug' of 'nav'" in of_another[1].found
 
 
+def test_a_service_that_ends_unasked_fails_a_run_that_does_not_judge_its_end() -> None:
+    silent = [Expectation(test="no notice is raised", expected=NoticeRule(code="port_unreadable", at_most=0))]
+    crashed = {"exit_code": 70, "stopped_s": None, "ended_s": 2.0}
+    (_, verdict) = judged(silent, evidence(**crashed))
+    assert (verdict.passed, verdict.found) == (False, "the service ended by itself after 2.0 s, exit code 70")
+    judging = [*silent, Expectation(test="it gives up", expected=ExitCode(code=70))]
+    assert all(each.passed for each in judged(judging, evidence(**crashed)))
+    assert all(each.passed for each in judged(silent, evidence(**crashed, killed_s=1.0)))
+
+
 def test_strict_readers_of_xml_take_what_a_scenario_says_in_any_characters() -> None:
     named = Expectation(test="no \x1b[31m & <\x00>", expected=LineRule(matching="\x1b", at_least=1))
     suite = ElementTree.fromstring(as_junit("odd\x07", judged([named], evidence()), 1.8e9, 12.34567))
