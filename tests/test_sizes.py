@@ -31,7 +31,7 @@ LINES: Final = {
     "auv_mcm": Limit(42_800, 35_500),
     "drivers": Limit(18_790, 15_500),
     "sim_replay": Limit(54_290, 42_000),
-    "sim_replay/augment": Limit(2_210, 2_400),
+    "sim_replay/augment": Limit(2_230, 2_400),
     "sim_replay/batch": Limit(630, 600),
     "sim_replay/benches": Limit(7_780, 6_000),
     "sim_replay/commands": Limit(2_100, 700),

@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from auv_mcm.errors import BadInputError
-from auv_mcm.geometry.georeference import EchoGeometry, locate
-from auv_mcm.geometry.pose_track import slice_pose
 from auv_mcm.records import EchoTrace, Side
 from auv_mcm.safe_files import read_regular
 from auv_mcm.settings.config import Config
@@ -30,7 +28,7 @@ from sim_replay.augment.floor import Floor, recover_floor
 from sim_replay.augment.line import Change, SampleScatter, measure_line, mixed, spread_over_taps
 from sim_replay.augment.shadows import ShadowRuns, shadow_runs
 from sim_replay.augment.targets import Placement
-from sim_replay.augment.track import SIGN, PingTrack
+from sim_replay.augment.track import SIGN, PingTrack, heard_at
 from sim_replay.simulator.objects import PlacedObject
 
 _MAX_LOG_BYTES: Final = 1 << 30  # of a survey, held in memory: chosen
@@ -120,10 +118,12 @@ def embed(
                 lines[stretch_number, side] = measure_line(
                     stretch, side, survey.transfer, config.sonar.blank_m, survey.absorption_per_m
                 )
-            window = _Window(data, places, stretch, index, side, ground_range_m, ahead_m, lines[stretch_number, side])
+            heading_rad = float(track.heading_rad[ping])
+            line = lines[stretch_number, side]
+            window = _Window(data, places, stretch, index, heading_rad, side, ground_range_m, ahead_m, line)
             looks.append(_embed_look(window, survey, placement.scene_object, config, seed, 64 * number + pass_number))
             looks[-1] = looks[-1]._replace(ping=int(track.number[ping]))
-        latitude, longitude = _position(survey, track, placement, config)
+        latitude, longitude = located(survey, track, placement, config)
         done.append(Embedded(placement.scene_object, latitude, longitude, tuple(looks)))
         progress((number + 1) / len(placements))
     return Augmented(bytes(data), tuple(done))
@@ -150,14 +150,15 @@ def passes_over_object(track: PingTrack, placement: Placement) -> list[tuple[int
 
 
 class _Window(NamedTuple):
-    """Hold a place in one pass. ping: the one that looks at it, by its place in the stretch. data: the log as far as
-    targets are in it.
+    """Hold a place in one pass. ping: the one that looks at it, by its place in the stretch; heading_rad: of the array
+    then. data: the log as far as targets are in it.
     """
 
     data: bytearray
     places: dict[tuple[int, Side], SamplePlace]
     stretch: Stretch
     ping: int
+    heading_rad: float
     side: Side
     ground_range_m: float
     ahead_m: float
@@ -213,7 +214,7 @@ def _embed_look(
     placed = scene_object._replace(
         east_m=SIGN[side] * ground_m,
         north_m=REFERENCE_NORTH_M + window.ahead_m,
-        azimuth_rad=scene_object.azimuth_rad - float(stretch.poses.heading_rad[window.ping]),
+        azimuth_rad=scene_object.azimuth_rad - window.heading_rad,
         strength_db=scene_object.strength_db
         + 10.0 * math.log10(_floor_strength(stands_on, ground_m, window.ahead_m, height_m)),
     )
@@ -368,17 +369,9 @@ def _level(recorded: Floats, bare: Floats, line: SampleScatter, spacing_m: float
     return np.asarray(echo / np.maximum(along_range(bare), 1e-30))
 
 
-def _position(survey: Survey, track: PingTrack, placement: Placement, config: Config) -> tuple[float, float]:
+def located(survey: Survey, track: PingTrack, placement: Placement, config: Config) -> tuple[float, float]:
+    """Return latitude and longitude of a place abeam of a ping."""
     stretch, index = survey.stretches[int(track.stretch[placement.ping])], int(track.row[placement.ping])
-    first_return_m = stretch.first_return_m[index : index + 1]
-    latitude, longitude, _ = locate(
-        EchoGeometry(
-            side=placement.side,
-            pose=slice_pose(stretch.poses, slice(index, index + 1)),
-            slant_range_m=np.hypot(placement.ground_range_m, first_return_m),
-            first_return_m=first_return_m,
-            sound_speed_mps=np.array([stretch.pings[index].sound_speed_mps]),
-        ),
-        config.sonar,
-    )
+    pings = slice(index, index + 1)
+    latitude, longitude, _ = heard_at(stretch, pings, placement.side, placement.ground_range_m, config.sonar)
     return float(latitude[0]), float(longitude[0])

@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 
 from auv_mcm.errors import BadInputError
 from auv_mcm.geometry.geodesy import LocalFrame
+from auv_mcm.geometry.georeference import EchoGeometry, aspect_deg, locate
+from auv_mcm.geometry.pose_track import slice_pose
 from auv_mcm.records import SIDES, Side
-from auv_mcm.settings.config import Config
-from sim_replay.augment.background_log import Survey
+from auv_mcm.settings.config import Config, SonarConfig
+from sim_replay.augment.background_log import Stretch, Survey
 
 _MARGIN_PINGS: Final = 8  # of sea floor that must have been recorded before and after an object
 _MARGIN_M: Final = 1.5  # the same across the track
@@ -29,9 +31,10 @@ class PingTrack(NamedTuple):
     """Hold all pings of a log; arrays are (n_pings,), float64 unless named otherwise.
 
     number: int64, in the log. stretch, row: int64, the stretch of the survey and the ping's place in it. east_m,
-    north_m: in the plane of `frame`. nearest_m, farthest_m: (2, n_pings), port first: ground ranges that a side shows
-    well, NaN where it shows none. why: what is wrong with a whole ping, "" if nothing. yaw_per_m, pitch_stretch: by how
-    much the spacing of pings on the bottom grows with each metre of range to port, and by pitching.
+    north_m: in the plane of `frame`, of the floor below the array. heading_rad: of the array. nearest_m, farthest_m:
+    (2, n_pings), port first: ground ranges that a side shows well, NaN where it shows none. why: what is wrong with a
+    whole ping, "" if nothing. yaw_per_m, pitch_stretch: by how much the spacing of pings on the bottom grows with each
+    metre of range to port, and by pitching.
     """
 
     frame: LocalFrame
@@ -116,13 +119,30 @@ class PingTrack(NamedTuple):
         return seen
 
 
+def heard_at(
+    stretch: Stretch, pings: slice, side: Side, ground_range_m: float, sonar: SonarConfig
+) -> tuple[Floats, Floats, Floats]:
+    """Return latitude and longitude of what pings hear at a ground range, as the payload locates it, and its bearing.
+
+    The bearing is in radians, clockwise from north.
+    """
+    first_return_m = stretch.first_return_m[pings]
+    echoes = EchoGeometry(
+        side=side,
+        pose=slice_pose(stretch.poses, pings),
+        slant_range_m=np.hypot(ground_range_m, first_return_m),
+        first_return_m=first_return_m,
+        sound_speed_mps=np.array([ping.sound_speed_mps for ping in stretch.pings[pings]]),
+    )
+    latitude, longitude, _ = locate(echoes, sonar)
+    return latitude, longitude, np.radians(aspect_deg(echoes, sonar))
+
+
 def track_of(survey: Survey, config: Config) -> PingTrack:
     """Compute the track of a log. Raises BadInputError if none of its pings has a position."""
     waterfall = config.waterfall
-    latitude, longitude = (
-        np.concatenate([getattr(stretch.poses, name) for stretch in survey.stretches])
-        for name in ("latitude_deg", "longitude_deg")
-    )
+    latitude, longitude, _ = _all_heard_at(survey, 0.0, config.sonar)
+    bearing = _all_heard_at(survey, 1.0, config.sonar)[2]
     known = np.flatnonzero(np.isfinite(latitude) & np.isfinite(longitude))
     if not known.size:
         raise BadInputError(
@@ -164,7 +184,7 @@ def track_of(survey: Survey, config: Config) -> PingTrack:
         along_m=joined("along_m"),
         east_m=enu[:, 0],
         north_m=enu[:, 1],
-        heading_rad=of_pose("heading_rad"),
+        heading_rad=bearing - 0.5 * math.pi,
         first_return_m=height,
         nearest_m=nearest,
         farthest_m=farthest,
@@ -176,6 +196,12 @@ def track_of(survey: Survey, config: Config) -> PingTrack:
         pitch_stretch=height * joined("pitch_rate_rad_s") / speed,
         max_spacing_ratio=waterfall.max_spacing_ratio,
     )
+
+
+def _all_heard_at(survey: Survey, ground_range_m: float, sonar: SonarConfig) -> list[Floats]:
+    """Return what `heard_at` does for all pings, to starboard."""
+    parts = [heard_at(each, slice(None), "starboard", ground_range_m, sonar) for each in survey.stretches]
+    return [np.concatenate(columns) for columns in zip(*parts, strict=True)]
 
 
 def _reach_m(survey: Survey, stretch: int, side: Side) -> Floats:

@@ -10,14 +10,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from auv_mcm.records import SIDES, Ping, Side, Transfer
+from auv_mcm.geometry.geodesy import LocalFrame
+from auv_mcm.records import SIDES, NavSample, Ping, Side, Transfer
 from auv_mcm.settings.config import Config, SonarConfig
 from auv_mcm.solids.shapes import Box, view_shape
 from auv_mcm.waterfall.transfer import to_intensity
 from sim_replay.augment.background_log import read_survey, to_samples
-from sim_replay.augment.embed import Augmented, embed
+from sim_replay.augment.embed import Augmented, embed, located
 from sim_replay.augment.line import Change, SampleScatter, mixed
-from sim_replay.augment.targets import EmbeddedTarget, TargetSpec, place_targets
+from sim_replay.augment.targets import EmbeddedTarget, Placement, TargetSpec, place_targets
 from sim_replay.augment.track import track_of
 from sim_replay.logs.xtf import XtfLog
 from sim_replay.simulator.speckle import WHITE, gaussian_taps
@@ -25,6 +26,7 @@ from tests.sim_replay.augment.plain_logs import (
     ALTITUDE_M,
     CONFIG,
     FLOOR_COUNTS,
+    HEADING_RAD,
     N_PINGS,
     N_SAMPLES,
     NOISE_COUNTS,
@@ -193,17 +195,29 @@ def test_an_object_in_a_recorded_shadow_makes_no_highlight(tmp_path: Path) -> No
     assert np.array_equal(samples(after)["starboard"][:, ground], samples(log)["starboard"][:, ground])
 
 
-def test_every_pass_over_a_place_gets_the_target(tmp_path: Path) -> None:
-    events = list(mission(n_pings=N_PINGS))
-    # The same way again, later: a second leg on the same line.
-    later = [msgspec.structs.replace(event, time_s=event.time_s + 200.0) for event in events]
-    later = [msgspec.structs.replace(e, number=e.number + N_PINGS) if isinstance(e, Ping) else e for e in later]
-    log = written(tmp_path / "twice.xtf", iter([*events, *later]))
-    looks = augmented(log, box()).objects[0].looks
-    assert len(looks) == 2
-    assert [look.side for look in looks] == ["starboard", "starboard"]
-    assert looks[1].ping == pytest.approx(looks[0].ping + N_PINGS, abs=3)
-    assert looks[1].ground_range_m == pytest.approx(12.0, abs=0.3)
+MOUNTED = msgspec.structs.replace(CONFIG.sonar, heading_offset_deg=3.0, lever_arm_m=(2.0, -1.0, 0.0))
+
+
+@pytest.mark.parametrize("sonar", [CONFIG.sonar, MOUNTED])
+def test_every_pass_over_a_place_gets_the_target_where_the_truth_has_it(sonar: SonarConfig, tmp_path: Path) -> None:
+    events, config = list(mission()), msgspec.structs.replace(CONFIG, sonar=sonar)
+    back: list[NavSample | Ping] = []  # on the same line, later
+    for event, mirrored in zip(events, [one for k in range(N_PINGS) for one in events[-2 * k - 2 :][:2]], strict=True):
+        time_s = event.time_s + 200.0
+        if isinstance(event, Ping):
+            back.append(msgspec.structs.replace(event, time_s=time_s, number=event.number + N_PINGS))
+        else:
+            turned = HEADING_RAD + math.pi
+            back.append(msgspec.structs.replace(mirrored, time_s=time_s, heading_rad=turned))
+    log = written(tmp_path / "twice.xtf", iter([*events, *back]))
+    (one,) = augmented(log, box(), config=config).objects
+    assert [look.side for look in one.looks] == ["starboard", "port"]
+    survey = read_survey(log, config)
+    track = track_of(survey, config)
+    frame = LocalFrame(latitude_deg=one.latitude_deg, longitude_deg=one.longitude_deg)
+    for look in one.looks:
+        place = Placement(one.scene_object, int(np.flatnonzero(track.number == look.ping)[0]), *look[1:3])
+        assert frame.to_enu(*located(survey, track, place, config), 0.0)[:2] == pytest.approx([0.0, 0.0], abs=0.15)
 
 
 # --- how echoes mix ---
