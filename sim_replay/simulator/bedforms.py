@@ -35,9 +35,6 @@ class RippleTrain:
 
     A wave with crests across one direction is multiplied by a complex field of low wavenumbers, as in speckle: its
     phase bends the crests, its zeros are where crests end or fork, and around them ripples are low.
-
-    Parameters
-    ----------
     """
 
     def __init__(self, ripples: Ripples, seed: int, name: str, *, cell_m: float) -> None:
@@ -119,11 +116,7 @@ def _phase(first: int, n_nodes: int, turns_per_cell: float) -> FloatArray:
 
 
 class Ledges:
-    """Shape broken edges of tilted strata: a fractal surface, cut into steps along parallel planes.
-
-    Parameters
-    ----------
-    """
+    """Shape broken edges of tilted strata: a fractal surface, cut into steps along parallel planes."""
 
     def __init__(self, rms_m: float, outer_m: float, seed: int, name: str, *, cell_m: float, step: int) -> None:
         self._step = step
@@ -176,11 +169,7 @@ class Ledges:
 
 
 class Canopy:
-    """Grow clumps of seagrass with gaps between: log-normal heights that a full-grown plant limits.
-
-    Parameters
-    ----------
-    """
+    """Grow clumps of seagrass with gaps between: log-normal heights that a full-grown plant limits."""
 
     def __init__(self, rms_m: float, outer_m: float, seed: int, name: str, *, cell_m: float, step: int) -> None:
         self._clumps = Noise(

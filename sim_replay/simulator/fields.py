@@ -96,11 +96,7 @@ def periodic_field(
 
 
 class Noise:
-    """Generate a field of mean 0 and root mean square 1 on nodes every `step` cells.
-
-    Parameters
-    ----------
-    """
+    """Generate a field of mean 0 and root mean square 1 on nodes every `step` cells."""
 
     def __init__(
         self,

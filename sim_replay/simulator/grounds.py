@@ -19,11 +19,7 @@ _ROUGHENED: Final[Mapping[SeabedType, tuple[float, float]]] = {"rock_outcrop": (
 
 
 class Ground:
-    """Compute the relief and texture of one cover.
-
-    Parameters
-    ----------
-    """
+    """Compute the relief and texture of one cover."""
 
     def __init__(self, cover: Cover, seed: int, name: str, *, cell_m: float, step: int) -> None:
         rms = cover.relief_rms_m

@@ -41,11 +41,7 @@ def _rms_below(patch_m: float, longest_m: float) -> float:
 
 
 class Partition:
-    """Compute the fields of all kinds on nodes every `step` cells.
-
-    Parameters
-    ----------
-    """
+    """Compute the fields of all kinds on nodes every `step` cells."""
 
     def __init__(self, shares: tuple[float, ...], patch_m: float, *, seed: int, step: int, cell_m: float) -> None:
         # The more kinds, the smaller the piece in which one of them is highest.

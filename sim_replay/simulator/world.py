@@ -52,11 +52,7 @@ class Patches(NamedTuple):
 
 
 class SimulatedFloor:
-    """Compute the sea floor of a scene.
-
-    Parameters
-    ----------
-    """
+    """Compute the sea floor of a scene."""
 
     def __init__(self, world: scene.World, seed: int, *, max_patches: int = 384) -> None:
         self.covers: Final = tuple(cover_of(seabed) for seabed in world.seabeds)

@@ -94,20 +94,14 @@ def test_crowded_and_drawn_missions_are_flown_over_other_floors_and_teach_no_rar
 
 
 def test_what_is_written_names_the_command_that_makes_it_again(flown: Flown, tmp_path: Path) -> None:
-    odds = fitted(tmp_path / "odds.json", "--seeds", "1", "--drawn", "2")
+    looks = ("--looks", str(tmp_path / "looks"))
+    odds = fitted(tmp_path / "odds.json", "--seeds", "1", "--drawn", "2", *looks)
+    n = len(flown.missions)
     command = odds.made_by.partition(", ")[2].split()
     assert command[:3] == ["auv-mcm", "calibrate", "odds"]
-    again = fitted(tmp_path / "again.json", *command[3:])
-    assert again == odds
-
-
-def test_missions_in_the_folder_are_not_flown_again(flown: Flown, tmp_path: Path) -> None:
-    options = ("--seeds", "1", "--looks", str(tmp_path / "looks"))
-    first = fitted(tmp_path / "first.json", *options)
-    n = len(flown.missions)
-    again = fitted(tmp_path / "again.json", *options)
-    assert len(flown.missions) == n
-    assert again == first
+    assert fitted(tmp_path / "kept.json", *command[3:], *looks) == odds
+    assert len(flown.missions) == n, "the folder holds them"
+    assert fitted(tmp_path / "again.json", *command[3:]) == odds
 
 
 @pytest.mark.parametrize(
