@@ -20,7 +20,7 @@ from auv_mcm.errors import UsageError
 from auv_mcm.records import SIDES, Side
 from auv_mcm.settings.strict_yaml import explain_validation_error, load_mapping, read_text
 from sim_replay.augment.track import PingTrack
-from sim_replay.simulator.objects import USUAL, PlacedObject
+from sim_replay.simulator.objects import USUAL, PlacedObject, solid_sizes
 from sim_replay.simulator.scene import TARGET_KINDS
 from sim_replay.simulator.scene_file import HIGHEST_SHARE
 
@@ -228,17 +228,6 @@ def _named(track: PingTrack, target: EmbeddedTarget, index: int) -> Placement:
         seed=index,
         where=where,
     )
-
-
-def solid_sizes(
-    kind: EmbeddedKind, length_m: float | None, width_m: float | None, height_m: float | None
-) -> dict[str, float]:
-    """Return length, width and height of a kind; missing ones are usual, those that its shape couples are equal."""
-    usual = USUAL[kind]
-    width = usual.width_m if width_m is None else width_m
-    length = width if kind in ("sphere", "truncated_cone", "tyre") else usual.length_m if length_m is None else length_m
-    height = width if kind in ("sphere", "cylinder", "pipe") else usual.height_m if height_m is None else height_m
-    return {"length_m": length, "width_m": width, "height_m": height}
 
 
 def _placement(

@@ -112,7 +112,7 @@ def _named(scene: Scene, scene_object: SceneObject, index: int) -> PlacedObject:
         north_m=north,
         azimuth_rad=math.radians(scene_object.azimuth_deg),
         tilt_rad=math.radians(scene_object.tilt_deg),
-        **_sizes(scene_object.kind, scene_object.length_m, width, scene_object.height_m),
+        **solid_sizes(scene_object.kind, scene_object.length_m, width, scene_object.height_m),
         top_m=min(usual.top_m * width / max(usual.width_m, 1e-9), width)
         if scene_object.top_m is None
         else scene_object.top_m,
@@ -127,15 +127,17 @@ def _named(scene: Scene, scene_object: SceneObject, index: int) -> PlacedObject:
     )
 
 
-def _sizes(kind: ObjectKind, length_m: float | None, width_m: float | None, height_m: float | None) -> dict[str, float]:
-    """Return length, width and height as far as the kind distinguishes them."""
+def solid_sizes(
+    kind: ObjectKind, length_m: float | None, width_m: float | None, height_m: float | None
+) -> dict[str, float]:
+    """Return length, width and height of a kind; missing ones are usual, those that its shape couples are equal."""
     usual = USUAL[kind]
     width = usual.width_m if width_m is None else width_m
     length = usual.length_m if length_m is None else length_m
     height = usual.height_m if height_m is None else height_m
     if kind in ("sphere", "truncated_cone", "tyre"):
         length = width
-    if kind == "sphere" or (kind in ("cylinder", "pipe")):
+    if kind in ("sphere", "cylinder", "pipe"):
         height = width
     return {"length_m": length, "width_m": width, "height_m": height}
 
@@ -163,7 +165,7 @@ def _scattered(
             length = natural
             width = usual.width_m * scale * float(random.uniform(0.8, 1.2)) if width is None else width
             height = usual.height_m * scale * float(random.uniform(0.7, 1.3)) if height is None else height
-        sizes = _sizes(group.kind, length, width, height)
+        sizes = solid_sizes(group.kind, length, width, height)
         burial, tilt, scour = drawn(group.burial_m) or 0.0, drawn(group.tilt_deg) or 0.0, drawn(group.scour_m) or 0.0
         strength = drawn(group.strength_db)
         reach = 0.5 * math.hypot(sizes["length_m"], sizes["width_m"])
