@@ -77,7 +77,7 @@ class FakePd6Unit:
         lines: list[dvl_pd6.Line] = []
         if all(map(math.isfinite, (sample.pitch_rad, sample.roll_rad, sample.heading_rad))):
             lines.append(dvl_pd6.Pd6Attitude(sample.pitch_rad, sample.roll_rad, sample.heading_rad % _TURN))
-        lines.append(dvl_pd6.Water(utc_s, 35.0, 12.0, _or_zero(sample.depth_m), 1500.0))
+        lines.append(dvl_pd6.Water(utc_s, 35.0, 12.0, or_zero(sample.depth_m), 1500.0))
         good = math.isfinite(sample.speed_mps)
         lines.append(dvl_pd6.InstrumentVelocity(sample.speed_mps, 0.0, 0.0, 0.0, good))
         lines.append(dvl_pd6.ShipVelocity(0.0, sample.speed_mps, 0.0, good))
@@ -87,7 +87,7 @@ class FakePd6Unit:
             step_s = sample.time_s - self._last.time_s
             self._made_good_m = self._made_good_m[0] + east_mps * step_s, self._made_good_m[1] + north_mps * step_s
         self._last = sample
-        lines.append(dvl_pd6.Bottom(*self._made_good_m, 0.0, _or_zero(sample.altitude_m), 0.0))
+        lines.append(dvl_pd6.Bottom(*self._made_good_m, 0.0, or_zero(sample.altitude_m), 0.0))
         return [b"".join(map(dvl_pd6.line_of, lines))]
 
 
@@ -173,7 +173,8 @@ def _velocity(sample: NavSample) -> tuple[float, float]:
     return sample.speed_mps * math.sin(sample.heading_rad), sample.speed_mps * math.cos(sample.heading_rad)
 
 
-def _or_zero(value: float) -> float:
+def or_zero(value: float) -> float:
+    """Replace a value that was not measured, as devices do."""
     return value if math.isfinite(value) else 0.0
 
 

@@ -36,13 +36,14 @@ _LEVELS: Final = np.array([1.0, 10.0**-0.9, 8.0])  # of floor, shadow at -9 dB, 
 _INDEPENDENT: Final = edge_weights(1.0, (1, 1), Correlation(1.0, 1.0))
 
 
-def _random(*seed: int) -> np.random.Generator:
+def random_of(*seed: int) -> np.random.Generator:
+    """Draw random numbers of their own for each seed."""
     return np.random.Generator(np.random.PCG64(list(seed)))
 
 
 def _drawn_field(seed: int) -> tuple[Plane, NDArray[np.uint8]]:
     """Draw single-look speckle about a highlight and a shadow, (48, 72), and its true labels."""
-    random = _random(3, seed)
+    random = random_of(3, seed)
     labels = np.zeros((48, 72), dtype=np.uint8)
     top, near = int(random.integers(12, 20)), int(random.integers(12, 20))
     rows, columns = np.indices(labels.shape)
@@ -183,7 +184,7 @@ def solid_rows(n: int) -> list[Row]:
     blank = _region_of(np.ones((61, 170)))
     drawn: list[tuple[Solid, float, Region]] = []
     for (solid, sizes), number in itertools.product(_SIZES.items(), range(n)):
-        random = _random(7, number)
+        random = random_of(7, number)
         scale = random.uniform(0.85, 1.15)
         own = (*(size * scale for size in sizes[:2]), *sizes[2:])
         highlight, shadow = _masks(_ends(solid, own, blank), 170)

@@ -16,7 +16,7 @@ from auv_mcm.waterfall.bottom import BottomTracker
 from auv_mcm.waterfall.ground import make_traces, mean_between
 from sim_replay.augment.floor import recover_floor
 from sim_replay.benches.every_stage.cascade_rows import cascade_rows
-from sim_replay.benches.every_stage.confirmation_stages import contour_rows, field_rows, solid_rows
+from sim_replay.benches.every_stage.confirmation_stages import contour_rows, field_rows, random_of, solid_rows
 from sim_replay.benches.every_stage.drawn_worlds import LIMITS, SEED, START, drawn_world, optimum_m2
 from sim_replay.benches.every_stage.framer_rows import framer_rows
 from sim_replay.benches.every_stage.log_reading import log_rows
@@ -31,15 +31,11 @@ from sim_replay.benches.stability.rows import NumberRow
 Plane = NDArray[np.float64]
 
 
-def _random(*seed: int) -> np.random.Generator:
-    return np.random.Generator(np.random.PCG64(list(seed)))
-
-
 def resampling_rows(n: int) -> list[Row]:
     """Resample pings to ground range: against sums of extended precision; instead, points of np.interp."""
     n_samples, spacing_m = 2000, 0.025
     edges_m = np.hypot(0.12 * np.arange(401), 6.0)
-    intensity = _random(1).exponential(size=(32, n_samples)).astype(np.float32)
+    intensity = random_of(1).exponential(size=(32, n_samples)).astype(np.float32)
     yes, no = np.ones(intensity.shape, dtype=np.bool_), np.zeros(intensity.shape, dtype=np.bool_)
     centre_m = (np.arange(n_samples) + 0.5) * spacing_m
 
@@ -67,7 +63,7 @@ def bottom_rows(n: int) -> list[Row]:
     rows = []
     for floor_db in (20.0, 8.0):
         n_pings, n_samples, spacing_m = 64, 500, 0.04
-        random = _random(2)
+        random = random_of(2)
         altitude_m = 6.0 + np.sin(np.arange(n_pings) / 20.0)
         slant_m = (np.arange(n_samples) + 0.5) * spacing_m
         mean = np.where(slant_m < altitude_m[:, np.newaxis], 1.0, 10.0 ** (0.1 * floor_db) * (6.0 / slant_m) ** 2)
@@ -127,7 +123,7 @@ def lambert_image(relief_m: Plane, reflectivity: Plane, altitude_m: Plane, row_m
 def inversion_rows(n: int) -> list[Row]:
     """Recover relief from an image; the reference is the relief that it was rendered from."""
     shape, column_m = (128, 256), 0.1
-    relief = 3.75 * ndimage.gaussian_filter(_random(9).normal(size=shape), (6, 8), mode="wrap")
+    relief = 3.75 * ndimage.gaussian_filter(random_of(9).normal(size=shape), (6, 8), mode="wrap")
     along_m = 0.2 * np.arange(shape[0], dtype=np.float64)
     valid, altitude_m = np.ones(shape, dtype=np.bool_), np.full(shape[0], 6.0)
 
@@ -137,9 +133,9 @@ def inversion_rows(n: int) -> list[Row]:
 
     rows = []
     for floor, spread in (("one reflectivity", 0.0), ("patches of reflectivity", 0.35)):
-        patches = ndimage.gaussian_filter(_random(10).normal(size=shape), 16, mode="wrap")
+        patches = ndimage.gaussian_filter(random_of(10).normal(size=shape), 16, mode="wrap")
         mean = lambert_image(relief, np.exp(spread * patches / patches.std()), altitude_m, 0.2, column_m)
-        image = mean * _random(11).gamma(3.0, 1.0 / 3.0, shape)
+        image = mean * random_of(11).gamma(3.0, 1.0 / 3.0, shape)
 
         def ours(image: Plane = image) -> Plane:
             return recover_floor(image, valid, altitude_m, along_m, column_m).elevation_m

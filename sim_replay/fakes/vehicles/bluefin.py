@@ -13,13 +13,13 @@ from typing import Final
 
 from auv_mcm.records import NavSample
 from drivers.vehicle.dialect import Vertical
+from sim_replay.fakes.navigation import or_zero
 from sim_replay.fakes.vehicles.text_controller import (
     TextController,
     clock,
     degrees_and_minutes,
     nmea_fields,
     nmea_line,
-    or_zero,
     report_from_fields,
     steer_of,
 )

@@ -10,7 +10,8 @@ from typing import Final
 
 from auv_mcm.records import NavSample
 from drivers.vehicle.dialect import Steer, Vertical
-from sim_replay.fakes.vehicles.text_controller import TextController, clock, or_zero, report_from_fields, steer_of
+from sim_replay.fakes.navigation import or_zero
+from sim_replay.fakes.vehicles.text_controller import TextController, clock, report_from_fields, steer_of
 
 _STATE_EVERY_S: Final = 0.5  # s between states
 _IN_MISSION, _OVERRIDE, _NOT_ALLOWED = 0x01, 0x0C, 0x80

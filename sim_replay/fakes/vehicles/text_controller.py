@@ -179,11 +179,6 @@ def clock(utc_s: float) -> str:
     return f"{seconds // 3600:02d}{seconds // 60 % 60:02d}{seconds % 60:02d}.{fraction:03d}"
 
 
-def or_zero(value: float) -> float:
-    """Replace a value that was not measured, as vehicles do."""
-    return value if math.isfinite(value) else 0.0
-
-
 def _xor(text: str) -> int:
     value = 0
     for character in text.encode("ascii"):
