@@ -36,7 +36,7 @@ LINES: Final = {
     "sim_replay/benches": Limit(7_780, 6_000),
     "sim_replay/commands": Limit(2_100, 700),
     "sim_replay/fakes": Limit(4_400, 3_500),
-    "sim_replay/fitting": Limit(8_010, 5_200),
+    "sim_replay/fitting": Limit(8_020, 5_200),
     "sim_replay/hil": Limit(2_710, 3_300),
     "sim_replay/logs": Limit(8_590, 3_900),
     "sim_replay/report": Limit(2_050, 2_000),

@@ -304,12 +304,10 @@ def _labels_of(detections: Sequence[Detection], objects: Sequence[dict[str, Any]
     )
     nearest = distance_m.argmin(axis=1)
     on_object = distance_m.min(axis=1) <= gates_m(_GATE_M, sigma_m)
-    best: dict[tuple[int, str, int], int] = {}
-    for index, detection in enumerate(detections):
-        if on_object[index]:
-            key = int(nearest[index]), detection.side, round(detection.time_s / _PASSAGE_S)
-            if key not in best or detection.p_mine > detections[best[key]].p_mine:
-                best[key] = index
+    best: dict[int, int] = {}
+    for index, passage in enumerate(passages_of(detections, nearest, on_object).tolist()):
+        if passage >= 0 and (passage not in best or detections[index].p_mine > detections[best[passage]].p_mine):
+            best[passage] = index
     stands_for_it = set(best.values())
     labels: list[Label | None] = []
     for index, detection in enumerate(detections):
@@ -322,6 +320,23 @@ def _labels_of(detections: Sequence[Detection], objects: Sequence[dict[str, Any]
         is_target = stands and bool(objects[int(nearest[index])]["is_target"])
         labels.append(Label(is_target, float(_FAINT_KEPT) if thins else 1.0, int(nearest[index])))
     return labels
+
+
+def passages_of(
+    detections: Sequence[Detection], nearest: NDArray[np.integer], on_object: NDArray[np.bool_]
+) -> NDArray[np.int64]:
+    """Number the passages of objects, (n,): detections of one object and side without a pause; -1 on no object."""
+    passages = np.full(len(detections), -1, dtype=np.int64)
+    latest: dict[tuple[int, str], tuple[float, int]] = {}
+    n_passages = 0
+    for index in sorted(np.flatnonzero(on_object).tolist(), key=lambda index: detections[index].time_s):
+        detection = detections[index]
+        key = int(nearest[index]), detection.side
+        before_s, passage = latest.get(key, (-math.inf, -1))
+        if detection.time_s - before_s > _PASSAGE_S:
+            passage, n_passages = n_passages, n_passages + 1
+        passages[index], latest[key] = passage, (detection.time_s, passage)
+    return passages
 
 
 def _fit_sum(table: StepTable, is_target: NDArray[np.bool_], weight: Array) -> Weights:

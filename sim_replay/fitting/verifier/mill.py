@@ -23,6 +23,7 @@ from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Detection, SourceEvent
 from auv_mcm.settings.config import Config
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
+from sim_replay.fitting.fit_odds import passages_of
 from sim_replay.fitting.looks import DRAWN, LookTask, flight_of, place_of
 from sim_replay.fitting.wide_world import wide_scene
 from sim_replay.missions import config_for
@@ -85,7 +86,7 @@ class Catch(NamedTuple):
 
     codes: pixels of all surroundings, uint8 codes of `auv_mcm.snippet`, one region after the other, rows first. shapes:
     (n, 2) rows and columns. geometry: (n, len(GEOMETRY)). label: (n,) int8. kind: (n,) of the nearest object. nearest:
-    (n,) its number, -1 for none. passage: (n,) number of side and minute. names, features: of the detector, (n, k).
+    (n,) its number, -1 for none. passage: (n,) of that object, by number. names, features: of the detector, (n, k).
     n_targets: passes that saw a target. area_km2: seen by the mission. law: how samples are stored.
     """
 
@@ -282,7 +283,7 @@ def catch(config: Config, events: Iterable[SourceEvent], truth: Callable[[], dic
         label=label,
         kind=np.array(kinds, dtype=np.str_),
         nearest=nearest,
-        passage=np.array([2 * round(d.time_s / 60.0) + (d.side == "port") for d in found], dtype=np.int64),
+        passage=passages_of(found, nearest, (label == MINE) | (label == OTHER)),
         distance_m=distance_m,
         names=np.array(list(rows[0]) if rows else [], dtype=np.str_),
         features=np.array([list(row.values()) for row in rows]),

@@ -302,6 +302,8 @@ def test_each_side_and_each_passage_has_its_own(fly: Fly) -> None:
         seen_at(0.4, 0.1, time_s=2001.0),
     ]
     assert labels(fly(detections, [Truth(0.0, True)])) == [(0.1, True), (0.2, True), (0.3, True)]
+    early, late = seen_at(0.1, time_s=1049.0), seen_at(0.4, 0.9, time_s=1051.0)  # either side of half a minute
+    assert labels(fly([early, late], [Truth(0.0, True)])) == [(0.4, True)]
 
 
 def test_other_objects_are_clutter_and_count_once_too(fly: Fly) -> None:
