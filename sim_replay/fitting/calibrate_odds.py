@@ -111,9 +111,10 @@ def fit_from_missions(
     fitted = missions.fitted_tasks()
     with tempfile.TemporaryDirectory() as folder:
         farm = Farm(n_workers)
-        odds = fitted_odds(missions, all_looks(fitted, looks or Path(folder), farm, show))
+        flown = all_looks(fitted, looks or Path(folder), farm, show)
+        odds = fitted_odds(missions, flown)
         if missions.detector == "cascade":
-            odds = beside_network(odds, fitted, (looks or Path(folder)) / "verifier", farm, show, network)
+            odds = beside_network(odds, missions, flown, (looks or Path(folder)) / "verifier", farm, show, network)
     try:
         write_file(out, written(odds))
     except OSError as error:
@@ -137,18 +138,30 @@ def fitted_odds(missions: Missions, flown: Sequence[MissionLooks]) -> MineOdds:
 
 def beside_network(
     odds: MineOdds,
-    tasks: Sequence[LookTask],
+    missions: Missions,
+    flown: Sequence[MissionLooks],
     folder: Path,
     farm: Farm,
     show: Callable[[int, int], None],
     own: Network | None = None,
 ) -> MineOdds:
-    """Weigh an own network, or the one that ships, beside these odds, on missions with as many mines as usual."""
+    """Weigh an own network, or the one that ships, beside these odds, on missions with as many mines as usual.
+
+    Where there are several seeds, missions of each are seen by odds fitted to the others: trees know their own too well
+    and would weigh too much.
+    """
+    tasks = [one.task for one in flown]
     usual = [task for task in tasks if task.times == 1 and task.source != DRAWN and not task.is_line]
     verifier = shipped_odds("cascade").verifier
     assert verifier is not None
     network = own or network_of(verifier.digest)
-    seen = [looks_of(place, "scenes", network, odds) for place in fly_all(usual, folder, farm, show)]
+    seeds = {task.seed for task in usual}
+    without = {
+        seed: fitted_odds(missions, [one for one in flown if one.task.seed != seed]) if len(seeds) > 1 else odds
+        for seed in seeds
+    }
+    places = fly_all(usual, folder, farm, show)
+    seen = [looks_of(place, "scenes", network, without[task.seed]) for place, task in zip(places, usual, strict=True)]
     found = weighed(seen, network.digest)
     if own:
         found = msgspec.structs.replace(found, file=FILE, made_by=f"auv-mcm {__version__}: train")

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
+from unittest.mock import Mock
 
 import msgspec
 import numpy as np
@@ -14,6 +15,7 @@ from auv_mcm.classify.odds import MineOdds, parse_odds, shipped_odds
 from auv_mcm.cli import main
 from auv_mcm.records import Detector
 from sim_replay.fitting import calibrate_odds, looks
+from sim_replay.fitting.cascade.farm import Farm
 from sim_replay.fitting.fit_odds import CROWD, FIRST_SEED, STEPS, LookTable, StepTable
 from sim_replay.fitting.looks import DRAWN, LookTask, MissionLooks
 from sim_replay.missions import HELD_OUT, SCENES
@@ -102,6 +104,20 @@ def test_what_is_written_names_the_command_that_makes_it_again(flown: Flown, tmp
     assert fitted(tmp_path / "kept.json", *command[3:], *looks) == odds
     assert len(flown.missions) == n, "the folder holds them"
     assert fitted(tmp_path / "again.json", *command[3:]) == odds
+
+
+@pytest.mark.parametrize(("seeds", "known"), [((1, 2, 3), [{2, 3}, {1, 3}, {1, 2}]), ((1,), [None])])
+def test_a_network_is_weighed_beside_odds_that_never_saw_the_mission(
+    seeds: tuple[int, ...], known: list[Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    odds = shipped_odds("cascade")
+    monkeypatch.setattr(calibrate_odds, "fitted_odds", lambda _, flown: {one.task.seed for one in flown})
+    monkeypatch.setattr(calibrate_odds, "fly_all", lambda tasks, *_: tasks)
+    monkeypatch.setattr(calibrate_odds, "looks_of", lambda *asked: None if asked[-1] is odds else asked[-1])
+    monkeypatch.setattr(calibrate_odds, "weighed", weigh := Mock(return_value=odds.verifier))
+    flown = list(map(Flown(), [LookTask("flat", seed) for seed in seeds]))
+    calibrate_odds.beside_network(odds, calibrate_odds.Missions(), flown, tmp_path, Farm(), lambda done, of: None)
+    assert weigh.call_args.args[0] == known
 
 
 @pytest.mark.parametrize(
