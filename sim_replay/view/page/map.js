@@ -64,8 +64,8 @@ export function mapView(tiles, handlers) {
     asking = true;
     try {
       const more = await get(`api/strips/${have}/${grid.stop_row}`);
-      if (more.row.length && strips.rows.length) more.row.shift(), more.corners.shift();
-      strips = {rows: [...strips.rows, ...more.row], corners: [...strips.corners, ...more.corners]};
+      // The last corner comes again: it lay behind the last ping, by whose pose it was placed.
+      if (more.row.length) strips = {rows: [...strips.rows.slice(0, -1), ...more.row], corners: [...strips.corners.slice(0, -1), ...more.corners]};
       if (!wasMoved) fit(); // a mission that grows stays in sight until somebody looks closer
       redraw();
     } finally {
@@ -120,8 +120,10 @@ export function mapView(tiles, handlers) {
         const across = [(end[0] - middle[0]) / columns * sign, (end[1] - middle[1]) / columns * sign];
         const along = [(ahead[0] - middle[0]) / rows, (ahead[1] - middle[1]) / rows];
         context.setTransform(ratio * across[0], ratio * across[1], ratio * along[0], ratio * along[1], ratio * middle[0], ratio * middle[1]);
-        const used = Math.min(TILE, Math.ceil(columns)), tall = Math.max(1, Math.min(rows, TILE - top));
-        context.drawImage(tile, sign > 0 ? 0 : TILE - used, top, used, tall, sign > 0 ? 0 : -used, 0, used, tall * 1.06);
+        // As far as the next piece begins at the far end, over which that one is drawn.
+        const reach = Math.max(1, rows * (Math.max(run, 1) + 0.06)), tall = Math.max(1, Math.min(reach, TILE - top));
+        const used = Math.min(TILE, Math.ceil(columns));
+        context.drawImage(tile, sign > 0 ? 0 : TILE - used, top, used, tall, sign > 0 ? 0 : -used, 0, used, reach);
       }
     }
   }
@@ -362,7 +364,11 @@ export function mapView(tiles, handlers) {
 
   return {
     redraw, fit,
-    setGrid(state) { grid = state; moreStrips(); },
+    setGrid(state) {
+      if (grid && grid.provisional && !state.provisional) strips = {rows: [], corners: []};
+      grid = state;
+      moreStrips();
+    },
     setTrack(found) { track = found; redraw(); },
     setLayers(found) { files = found; byId("clearance-layer").hidden = !found.clearance; redraw(); },
     setChart([west, south, east, north]) {
