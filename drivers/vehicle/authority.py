@@ -20,6 +20,9 @@ AuthorityState: TypeAlias = Literal["down", "listening", "requested", "granted",
 ANSWER_WITHIN_S: Final = (
     10.0  # a request that nobody answers for so long is withdrawn, to be made again: it may have been lost
 )
+DECIDE_WITHIN_S: Final = (
+    120.0  # from a request that is considered to its withdrawal: a person may have to agree; chosen
+)
 SETTLE_S: Final = (
     1.0  # between giving back and what is said next of control: answers to what was said before are still on their way
 )
@@ -30,10 +33,14 @@ class Ask(NamedTuple):
 
 
 class GiveBack(NamedTuple):
-    """Release control, or withdraw the request for it. n_unanswered: requests in a row that nobody answered, if so."""
+    """Release control, or withdraw the request for it.
+
+    n_unanswered, n_undecided: requests in a row that nobody answered, or that were considered for too long, if so.
+    """
 
     reason: str
     n_unanswered: int = 0
+    n_undecided: int = 0
 
 
 Action: TypeAlias = Ask | GiveBack
@@ -58,7 +65,9 @@ class Authority:
         self._since_s = -math.inf
         self._not_before_s = -math.inf  # no request sooner
         self._gave_back_s = -math.inf
-        self._n_unanswered = 0  # requests, since the vehicle granted or withheld control last
+        self._n_unanswered = 0  # requests, since the vehicle answered one last
+        self._n_undecided = 0  # requests, since the vehicle granted or withheld control last
+        self._is_considered = False  # the request that was made last
         self._not_asked_for = False  # the vehicle believes that the payload commands, and it does not
 
     @property
@@ -93,7 +102,7 @@ class Authority:
     def granted(self, reason: str, now_s: float) -> None:
         """Take a grant of the vehicle. It counts only if control was requested."""
         if self._state == "requested":
-            self._n_unanswered = 0
+            self._n_unanswered = self._n_undecided = 0
             self._go("granted", reason, now_s)
         elif self._state != "granted":
             self._not_asked_for = True
@@ -102,9 +111,14 @@ class Authority:
         """Take a refusal or a revocation of control by the vehicle."""
         self._not_asked_for = False
         if self._state in ("requested", "granted"):
-            self._n_unanswered = 0
+            self._n_unanswered = self._n_undecided = 0
             self._not_before_s = now_s + self._ask_again_s
             self._go("revoked", reason, now_s)
+
+    def considered(self) -> None:
+        """Take an answer of the vehicle that it decides later."""
+        if self._state == "requested":
+            self._n_unanswered, self._is_considered = 0, True
 
     def give_back(self, reason: str, now_s: float, *, pause: bool) -> Action | None:
         """Release control. pause: it is not requested again at once but as after a refusal."""
@@ -128,7 +142,11 @@ class Authority:
             if since_s > self._max_control_s:
                 return self.give_back(f"control was held for {self._max_control_s:g} s", now_s, pause=True)
         elif self._state == "requested":
-            if since_s > ANSWER_WITHIN_S:
+            if self._is_considered and since_s > DECIDE_WITHIN_S:
+                self._n_undecided += 1
+                withdrawn = self._give_back("listening", f"no decision on the request for {DECIDE_WITHIN_S:g} s", now_s)
+                return withdrawn._replace(n_undecided=self._n_undecided)
+            if not self._is_considered and since_s > ANSWER_WITHIN_S:
                 self._n_unanswered += 1
                 withdrawn = self._give_back("listening", f"no answer to the request for {ANSWER_WITHIN_S:g} s", now_s)
                 return withdrawn._replace(n_unanswered=self._n_unanswered)
@@ -141,6 +159,7 @@ class Authority:
         if self._not_asked_for:
             return self._give_back(self._state, "control was not requested", now_s)
         if wanted and self._state == "listening" and now_s >= self._not_before_s:
+            self._is_considered = False
             self._go("requested", "control was requested", now_s)
             return Ask()
         return None

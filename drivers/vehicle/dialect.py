@@ -176,6 +176,10 @@ class Withheld(NamedTuple):
     reason: str
 
 
+class Considered(NamedTuple):
+    """Answer a request for control without a decision, which comes later."""
+
+
 class PlaceReached(NamedTuple):
     """Report that the vehicle has reached the place of the last GoTo."""
 
@@ -202,7 +206,9 @@ class Doubted(NamedTuple):
     reason: str
 
 
-VehicleEvent: TypeAlias = ReportedState | Granted | Withheld | PlaceReached | Acknowledged | Rejected | Doubted
+VehicleEvent: TypeAlias = (
+    ReportedState | Granted | Withheld | Considered | PlaceReached | Acknowledged | Rejected | Doubted
+)
 
 
 class VehicleMessage(NamedTuple):

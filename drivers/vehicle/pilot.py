@@ -14,18 +14,19 @@ import math
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Final, Generic, NamedTuple, TypeVar
+from typing import Final, Generic, TypeVar
 
 from auv_mcm.clock import Stamp
 from auv_mcm.records import Contact, Notice, Waypoint
 from auv_mcm.settings.vehicle_settings import VehicleConfig
 from auv_mcm.source import AnnouncedContact
 from drivers.plugin_records import clean_counters
-from drivers.vehicle.authority import Action, Ask, Authority, AuthorityState, GiveBack
+from drivers.vehicle.authority import DECIDE_WITHIN_S, Action, Ask, Authority, AuthorityState, GiveBack
 from drivers.vehicle.dialect import (
     Acknowledged,
     Capability,
     Command,
+    Considered,
     Doubted,
     GoTo,
     Granted,
@@ -45,7 +46,7 @@ from drivers.vehicle.dialect import (
 from drivers.vehicle.guard import Guard, Refusal
 from drivers.vehicle.guidance import LineOfSight, WaypointTrack
 from drivers.vehicle.report_queue import ReportQueue
-from drivers.vehicle.runs import ON_LEG, with_points_on_legs
+from drivers.vehicle.runs import FlownPlan, with_points_on_legs
 from drivers.vehicle.sea_floor import FloorBelow
 from drivers.vehicle.whereabouts import Whereabouts
 
@@ -65,35 +66,6 @@ _LEADING_UP: Final = frozenset(
     | {"commands_too_deep"}
 )
 _MAX_UNANSWERED: Final = 6  # requests in a row, about a minute, after which a person is asked; chosen
-
-
-class _Plan(NamedTuple):
-    """Hold a plan. proposed: as it was given; waypoints: as it is flown; track: its index counts in these.
-
-    approved_s: when it was proposed last.
-    """
-
-    proposed: tuple[Waypoint, ...]
-    waypoints: tuple[Waypoint, ...]
-    track: WaypointTrack
-    approved_s: float
-
-    @property
-    def leg(self) -> int:
-        return self.waypoints[min(self.track.index, len(self.waypoints) - 1)].leg
-
-    def entry(self, position_deg: tuple[float, float]) -> int:
-        """Return the way-point to go to first, from a position off the track.
-
-        A leg that was broken off is flown again from its beginning.
-        """
-        first = self.track.index
-        while self.waypoints[first].kind in (ON_LEG, "leg_exit") and first > 1:
-            first -= 1
-        last = next(
-            (index for index in range(first, len(self.waypoints)) if self.waypoints[index].kind == "leg_entry"), first
-        )
-        return self.track.nearest(position_deg, first, last)
 
 
 class Pilot(Generic[W]):
@@ -131,7 +103,7 @@ class Pilot(Generic[W]):
         )
         self._line_of_sight = LineOfSight(turn_radius_m=turn_radius_m, speed_mps=config.speed_mps)
         self._whereabouts = Whereabouts(config.state_valid_s)
-        self._plan: _Plan | None = None
+        self._plan: FlownPlan | None = None
         self._released = False
         self._joined = False  # under way on the plan
         self._command: Command | None = None  # given last, while it holds
@@ -201,6 +173,8 @@ class Pilot(Generic[W]):
                     self._authority.granted(event.reason, now_s)
                 case Withheld():
                     self._authority.withheld(event.reason, now_s)
+                case Considered():
+                    self._authority.considered()
                 case PlaceReached():
                     self._arrived()
                 case Acknowledged():
@@ -280,7 +254,9 @@ class Pilot(Generic[W]):
         radius_m, cut_radius_m = self._config.arrival_radius_m, self._turn_radius_m if self._may_steer else 0.0
         flown = plan if self._may_steer else with_points_on_legs(plan, max(self._turn_radius_m, 2.0 * radius_m))
         places_deg = tuple((waypoint.latitude_deg, waypoint.longitude_deg) for waypoint in flown)
-        self._plan = _Plan(plan, flown, WaypointTrack(places_deg, radius_m=radius_m, cut_radius_m=cut_radius_m), now_s)
+        self._plan = FlownPlan(
+            plan, flown, WaypointTrack(places_deg, radius_m=radius_m, cut_radius_m=cut_radius_m), now_s
+        )
 
     def release(self, reason: str, now_s: float) -> None:
         """Release control, drop the plan and stop requesting: the service stops.
@@ -364,7 +340,7 @@ class Pilot(Generic[W]):
         go_to = self._go_to(first.latitude_deg, first.longitude_deg, self._vertical(now_s))
         return self._guard.command(numbers_of(go_to), state, self._floor.at(now_s))
 
-    def _fly(self, plan: _Plan, state: ReportedState, now_s: float) -> None:
+    def _fly(self, plan: FlownPlan, state: ReportedState, now_s: float) -> None:
         """Return the next command, if it may be given."""
         position_deg = state.latitude_deg, state.longitude_deg
         if not self._joined:
@@ -446,7 +422,7 @@ class Pilot(Generic[W]):
             case Ask():
                 self._own["vehicle.requested"] += 1
                 self._talker.request(now_s)
-            case GiveBack(reason, n_unanswered):
+            case GiveBack(reason, n_unanswered, n_undecided):
                 self._command, self._joined = None, False
                 self._own["vehicle.returned"] += 1
                 self._talker.release(reason, now_s)
@@ -458,6 +434,12 @@ class Pilot(Generic[W]):
                     text = (
                         f"the vehicle answered none of {n_unanswered} requests for control, and no leg is flown until "
                         "it does. Does its mission let this payload command, and is its port set up so?"
+                    )
+                    self._raise_notice("vehicle_control_unanswered", text, logging.WARNING)
+                elif n_undecided == 1:
+                    text = (
+                        f"the vehicle considered a request for control for {DECIDE_WITHIN_S:g} s without a decision, "
+                        "and no leg is flown until it grants one. Has a person to agree on its side?"
                     )
                     self._raise_notice("vehicle_control_unanswered", text, logging.WARNING)
 

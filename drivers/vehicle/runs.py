@@ -1,20 +1,52 @@
-"""Put points along the straight runs of a plan.
+"""Hold a plan as it is flown, and put points along its straight runs.
 
-For vehicles that go to places by themselves: they steer for a place, not along a line.
+The points are for vehicles that go to places by themselves: they steer for a place, not along a line.
 """
 
 from __future__ import annotations
 
 import math
 from itertools import pairwise
+from typing import NamedTuple
 
 from msgspec import structs
 
 from auv_mcm.records import Waypoint
 from drivers.navigation.corrections import moved, offset_m
+from drivers.vehicle.guidance import WaypointTrack
 
 ON_LEG = "on_leg"
 """Kind of the way-points that are put in."""
+
+
+class FlownPlan(NamedTuple):
+    """Hold a plan. proposed: as it was given; waypoints: as it is flown; track: its index counts in these.
+
+    approved_s: when it was proposed last.
+    """
+
+    proposed: tuple[Waypoint, ...]
+    waypoints: tuple[Waypoint, ...]
+    track: WaypointTrack
+    approved_s: float
+
+    @property
+    def leg(self) -> int:
+        """Return the number of the leg of the next way-point."""
+        return self.waypoints[min(self.track.index, len(self.waypoints) - 1)].leg
+
+    def entry(self, position_deg: tuple[float, float]) -> int:
+        """Return the way-point to go to first, from a position off the track.
+
+        A leg that was broken off is flown again from its beginning.
+        """
+        first = self.track.index
+        while self.waypoints[first].kind in (ON_LEG, "leg_exit") and first > 1:
+            first -= 1
+        last = next(
+            (index for index in range(first, len(self.waypoints)) if self.waypoints[index].kind == "leg_entry"), first
+        )
+        return self.track.nearest(position_deg, first, last)
 
 
 def with_points_on_legs(plan: tuple[Waypoint, ...], spacing_m: float) -> tuple[Waypoint, ...]:

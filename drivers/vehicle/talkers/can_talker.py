@@ -44,6 +44,7 @@ from drivers.vehicle.dialect import (
     Acknowledged,
     Capability,
     Command,
+    Considered,
     ContactReport,
     Granted,
     PayloadHealth,
@@ -285,7 +286,9 @@ class CanTalker:
             self._link.is_granted = True
             self._link.n_at_once = max(self._link.n_at_once, 1)
             return [Granted(f"request {self._request_number}")]
-        return [self._withhold(_reason(status.reason))] if is_ours and grant == "withheld" else []
+        if not is_ours:
+            return []
+        return [self._withhold(_reason(status.reason)) if grant == "withheld" else Considered()]
 
     def _command_state(self, status: VehicleStatus) -> list[VehicleEvent]:
         if self._link.command is None or status.command_number != self._command_number:

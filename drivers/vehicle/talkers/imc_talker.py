@@ -22,6 +22,7 @@ from typing import Final, Literal, NamedTuple
 from auv_mcm.clock import Stamp
 from auv_mcm.records import NAN
 from auv_mcm.settings.vehicle_settings import ImcSettings
+from drivers.navigation.corrections import offset_m
 from drivers.vehicle import imc_messages as imc
 from drivers.vehicle.decoders.imc_decoder import ImcReceived
 from drivers.vehicle.decoders.imc_followed import PLAN_ID, FollowedVehicle
@@ -29,6 +30,7 @@ from drivers.vehicle.dialect import (
     Acknowledged,
     Capability,
     Command,
+    Considered,
     ContactReport,
     Doubted,
     GoTo,
@@ -88,7 +90,6 @@ _REPORT_AGAIN_S: Final = 2.0  # s without an answer, after which a contact is re
 _REPORT_SELDOM_S: Final = 30.0  # s between repetitions, maximum
 _SAME_PLACE_RAD: Final = 1e-9  # 6 mm
 _PASSED_M: Final = 1.0  # farther than it was already: it will not come nearer
-_EARTH_RADIUS_M: Final = 6_371_000.0  # m, of a sphere: exact enough for the distance to a goal
 
 
 class _Pending(NamedTuple):
@@ -392,6 +393,7 @@ class ImcTalker:
             return []
         if message.type == PlanType.IN_PROGRESS:
             self._start_due_s = math.inf  # a plan may calibrate first
+            return [Considered()]
         if message.type == PlanType.SUCCESS:
             self._succeeded = True
         return []
@@ -437,21 +439,12 @@ class ImcTalker:
         )
         if not all(abs(offset) < _SAME_PLACE_RAD for offset in offsets_rad):
             return []  # of the place before
-        distance_m = self._distance_m(goal)
+        distance_m = math.hypot(*offset_m(self._position_deg, goal[:2]))
         self._nearest_m = min(self._nearest_m, distance_m)
         if message.state == RefState.GOTO and goal.radius_m < distance_m < self._nearest_m + _PASSED_M:
             return []
         self._arrived = True
         return [PlaceReached()]
-
-    def _distance_m(self, goal: GoTo) -> float:
-        """Return the distance on a sphere, for some tens of metres; NaN if the vehicle's position is not known."""
-        latitude_deg, longitude_deg = self._position_deg
-        north_rad = math.radians(goal.latitude_deg - latitude_deg)
-        east_rad = math.radians(math.remainder(goal.longitude_deg - longitude_deg, 360.0)) * math.cos(
-            math.radians(latitude_deg)
-        )
-        return _EARTH_RADIUS_M * math.hypot(north_rad, east_rad)
 
     def _heard_plan(self, message: imc.PlanControlState, now_s: float) -> list[VehicleEvent]:
         running = message.state in (PlanState.INITIALIZING, PlanState.EXECUTING)

@@ -39,6 +39,7 @@ from drivers.vehicle.can_translation import text_of
 from drivers.vehicle.dialect import (
     Acknowledged,
     Command,
+    Considered,
     GoTo,
     Granted,
     PayloadHealth,
@@ -126,7 +127,7 @@ def test_control_is_asked_for_with_a_number_that_the_vehicle_has_not_answered_be
     assert DEMANDS[status.demand] == "request"
     assert status.request_number not in (0, 1)
     assert bench.status(0, 1, 0.1, reason=3) == [], "that is an answer to somebody before us"
-    assert bench.status(1, status.request_number, 0.2) == [], "it considers"
+    assert bench.status(1, status.request_number, 0.2) == [Considered()]
     assert [type(event) for event in bench.status(2, status.request_number, 0.3)] == [Granted]
     assert bench.status(2, status.request_number, 0.4) == [], "reported once"
 
