@@ -55,9 +55,13 @@ class AreaState(NamedTuple):
 
     def words(self) -> str:
         """State the clearance in a few words, rounded down so that it never reads as reached when it is not."""
-        required = max(f"{self.required:.2f}", f"{self.required:g}", key=len)
-        text = f"clearance {math.floor(100.0 * self.p_detected + 1e-9) / 100.0:.2f} of {required}"
-        return text + " reached" * self.is_reached
+        p_detected = math.floor(100.0 * self.p_detected + 1e-9) / 100.0
+        return f"clearance {p_detected:.2f} of {required_words(self.required)}" + " reached" * self.is_reached
+
+
+def required_words(required: float) -> str:
+    """Write a required clearance with all its digits, two or more."""
+    return max(f"{required:.2f}", f"{required:g}", key=len)
 
 
 def frame_of(clearance: Clearance) -> LocalFrame:

@@ -16,7 +16,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.clearance.area import Area, area_state, frame_of, in_plane, middles_m, over_area
+from auv_mcm.clearance.area import Area, area_state, frame_of, in_plane, middles_m, over_area, required_words
 from auv_mcm.clearance.clearance_map import HIGHEST_P, Clearance, LookModel, look_bit
 from auv_mcm.clearance.detection_performance import CellView
 from auv_mcm.geometry.geodesy import LocalFrame
@@ -275,10 +275,11 @@ class ClearArea:
 
 
 def _done(area: Area, required: float) -> str:
-    state = area_state(area, required)
+    state, words = area_state(area, required), required_words(required)
+    n_digits = max(3, len(words.partition(".")[2]))  # never reads as less than required
     return (
         f"done: mines in the {area_words(area.cells.sum() * area.ground.cell_m**2)} are found with probability "
-        f"{state.p_detected:.3f}, {required:.2f} was required"
+        f"{state.p_detected:.{n_digits}f}, {words} was required"
     )
 
 

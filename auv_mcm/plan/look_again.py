@@ -317,7 +317,9 @@ class LookAgain:
             self.area = proposal.area
             for begin, code in _CODES.items():
                 if self.area.verdict.startswith(begin):
-                    self._raise_once(code, f"{self.area.words()}: {self.area.verdict}")
+                    # A reason to wait may hide another, which is reported when it comes.
+                    key = self.area.verdict if code == "survey_waits" else code
+                    self._raise_once(code, f"{self.area.words()}: {self.area.verdict}", key)
         if self._on_leg is not None:  # the vehicle reached it while the plan was made
             self._changed = True
             return None
@@ -345,10 +347,10 @@ class LookAgain:
             self._sailed_from = here
             self._sailed_m += sailed_m if sailed_m <= _JUMP_M else 0.0
 
-    def _raise_once(self, code: str, text: str) -> None:
-        """Raise a notice once per code."""
-        if code not in self._raised:
-            self._raised.add(code)
+    def _raise_once(self, code: str, text: str, key: str = "") -> None:
+        """Raise a notice once per key, its code where none is given."""
+        if (key or code) not in self._raised:
+            self._raised.add(key or code)
             self._notices.append(Notice(code=code, text=text))
 
     def _is_old(self, now_s: float) -> bool:

@@ -17,6 +17,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_mcm.clearance.area import required_words
 from auv_mcm.clearance.clearance_map import Clearance, LookModel
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.plan.contact_legs import ContactLegs, contact_legs
@@ -306,7 +307,7 @@ def _done(world: SurveyState) -> str:
     if not world.area.any():
         return "done: there is no area to clear and no contact that requests a view"
     return (
-        f"done: required clearance of {world.required:.2f} reached in all of "
+        f"done: required clearance of {required_words(world.required)} reached in all of "
         f"{area_words(world.area.sum() * world.clearance.cell_m**2)}"
     )
 
@@ -345,7 +346,7 @@ def _verdict(problem: Problem, route: list[int], world: SurveyState, is_open: ND
         short_m2, area_m2 = (n * cells.cell_m**2 for n in (share * np.count_nonzero(never), world.area.sum()))
         return (
             f"cannot, because {area_words(short_m2)} of {area_words(area_m2)} cannot be brought to "
-            f"{world.required:.2f} by any leg; the best that can be reached is {mean:.2f} on average and "
+            f"{required_words(world.required)} by any leg; the best that can be reached is {mean:.2f} on average and "
             f"{float(reach.min()):.2f} in the worst cell"
         )
     wanting_m2, gain_m2 = wanting_m2_of(problem), worth_m2(problem, (way // 2 for way in route))

@@ -387,6 +387,28 @@ def test_before_the_sonar_sounds_nothing_is_planned() -> None:
     assert mission.plan()
 
 
+def test_a_reason_to_wait_does_not_hide_a_later_one() -> None:
+    mission = Mission()
+    assert not mission.plan()
+    mission.place_m = (-200.0, 0.0)
+    mission.ping()
+    for _ in range(3):
+        mission.now_s += 60.0
+        assert not mission.plan()
+    notices = mission.look_again.take_notices()
+    assert [notice.code for notice in notices] == ["survey_waits"] * 2
+    assert "no ping has shown" in notices[0].text
+    assert "the vehicle is outside its fence" in notices[1].text
+
+
+def test_a_clearance_that_is_reached_is_stated_beside_what_was_required() -> None:
+    verdict = Mission(required=0.954).run()
+    found, required = re.findall(r"\d\.\d+", verdict)
+    assert verdict.startswith("done")
+    assert required == "0.954"
+    assert float(found) >= 0.954
+
+
 @pytest.mark.parametrize("sounds", [False, True])
 def test_a_vehicle_that_searches_outside_its_fence_is_reported_and_one_on_deck_beside_it_is_not(sounds: bool) -> None:
     mission = Mission()
