@@ -16,8 +16,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from auv_mcm.classify.beliefs import MINE_LIKE_P
 from auv_mcm.contacts.background import LOWEST_NATS, MIN_AREA_KM2
+from auv_mcm.contacts.geojson import PROBABILITY_DIGITS
 from auv_mcm.detect.belief import odds_of
 
+# nats: the lowest log-odds of a p_mine that files write as 0.2
+MINE_LIKE_NATS: Final = odds_of(MINE_LIKE_P - 0.5 * 10.0**-PROBABILITY_DIGITS)
 _SIGMAS_95: Final = 1.959964  # standard deviations of the ends of the central 95 %
 _ON_BARE_FLOOR: Final = 0.5  # of the false alarms called: 139 of 307 per km² on ten named scenes
 
@@ -66,7 +69,7 @@ def called_from_nats(log_odds: ArrayLike, area_km2: float, asked_per_km2: float)
     n_called = int(np.count_nonzero(lower_end <= max(asked_per_km2 * area_km2, 1.0)))
     # Half way to the first that is not called, so that nothing hangs on the last bit of either.
     level = LOWEST_NATS if n_called == len(nats) else float(0.5 * (nats[n_called - 1] + nats[n_called]))
-    return max(level, odds_of(MINE_LIKE_P)) if is_short(area_km2, asked_per_km2) else level
+    return max(level, MINE_LIKE_NATS) if is_short(area_km2, asked_per_km2) else level
 
 
 def poisson_end(expected: ArrayLike, sigmas: float) -> NDArray[np.float64]:

@@ -10,10 +10,10 @@ from typing import Final, NamedTuple
 import msgspec
 import numpy as np
 
-from auv_mcm.classify.beliefs import MINE_LIKE_P, most_believed
+from auv_mcm.classify.beliefs import most_believed
 from auv_mcm.contacts.background import LEVELS_NATS, LOWEST_NATS, BackgroundPrior, expected_background
 from auv_mcm.contacts.contact import is_mine_like
-from auv_mcm.contacts.expected_alarms import ExpectedAlarms, called_from_nats, expected_alarms, is_short
+from auv_mcm.contacts.expected_alarms import MINE_LIKE_NATS, ExpectedAlarms, called_from_nats, expected_alarms, is_short
 from auv_mcm.contacts.seen_area import SeenArea
 from auv_mcm.detect.belief import odds_of
 from auv_mcm.records import NAN, Contact, CoveragePatch, Notice, contact_number
@@ -43,7 +43,7 @@ class OperatingPoint(NamedTuple):
     n_contacts: int
     area_km2: float
     expected: ExpectedAlarms | None
-    level_nats: float = odds_of(MINE_LIKE_P)
+    level_nats: float = MINE_LIKE_NATS
 
     @property
     def is_short(self) -> bool:

@@ -10,11 +10,13 @@ from typing import Any
 
 import numpy as np
 
+from auv_mcm.classify.beliefs import MINE_LIKE_P
 from auv_mcm.clearance.area import area_state, over_area
 from auv_mcm.clearance.clearance_export import BANDS
 from auv_mcm.clearance.clearance_map import Clearance
 from auv_mcm.clearance.residual import PRIOR_SHARE, remaining_mines
 from auv_mcm.contacts.contact import is_mine_like
+from auv_mcm.contacts.expected_alarms import MINE_LIKE_NATS
 from auv_mcm.contacts.operating_point import OperatingPoint
 from auv_mcm.detect.belief import odds_of, probability
 from auv_mcm.records import SEABED_TYPES, Contact, CoveragePatch, Notice
@@ -69,9 +71,10 @@ def point_totals(point: OperatingPoint | None) -> dict[str, Any]:
     if point is None:
         return {}
     level = point.level_nats
+    from_p_mine = MINE_LIKE_P if level == MINE_LIKE_NATS else round(probability(level), 6)  # as files write p_mine
     totals: dict[str, Any] = {
         "asked_per_km2": point.asked_per_km2,
-        "called_from_p_mine": None if level == math.inf else round(probability(level), 6),
+        "called_from_p_mine": None if level == math.inf else from_p_mine,
         "contacts_counted": point.n_contacts,
         "searched_km2": round(point.area_km2, 6),
         "area_too_small": point.is_short,

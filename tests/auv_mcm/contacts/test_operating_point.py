@@ -16,7 +16,7 @@ from scipy.stats import gamma, norm
 
 from auv_mcm.classify.beliefs import MINE_LIKE_P
 from auv_mcm.contacts.background import LOWEST_NATS, shipped_background
-from auv_mcm.contacts.contact import call_words
+from auv_mcm.contacts.contact import call_words, is_mine_like
 from auv_mcm.contacts.expected_alarms import expected_alarms, poisson_end
 from auv_mcm.contacts.ledger import contact_from_views
 from auv_mcm.contacts.operating_point import CallWatch, MarkedContacts, OperatingPoint
@@ -253,6 +253,13 @@ def test_without_a_prior_the_usual_p_mine_calls_and_no_density_is_claimed() -> N
     assert math.isnan(likely.false_alarms_per_km2)
     assert call_words(likely) == "yes"
     assert mission.watch.take_notices() == []
+
+
+@pytest.mark.parametrize("prior", [None, PRIOR])
+def test_what_files_write_as_the_usual_p_mine_is_called_where_that_calls(prior: Any) -> None:
+    mission = Mission(prior=prior)
+    contacts = mission.see(odds_of(0.19994), odds_of(0.19996))
+    assert [contact.called for contact in contacts] == [False, True] == [is_mine_like(contact) for contact in contacts]
 
 
 def test_a_background_unlike_all_that_was_learnt_is_reported_once() -> None:
