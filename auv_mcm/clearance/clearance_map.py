@@ -60,11 +60,12 @@ class Clearance(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
     Element [0, 0] is cell (first_east, first_north).
 
-    exponent float64: miss exponent, 0 where nothing was seen. share float32: how much of the cell was seen, 0 to 1,
-    overlap once. looks uint8: passes that saw something of the cell. towards uint64: the directions they looked in, as
-    `look_bit` has them. seabed uint8, ripple_rad, wavelength_m, unevenness_db float32: as the surest look has it,
-    weighted by how much of the cell it saw. altitude_m float32: mean over looks. Where nothing was seen these are
-    `unknown` and NaN. n_elsewhere: cells seen too far from the others to be laid out in one box with them.
+    exponent float64: miss exponent, 0 where nothing was seen. share float32: what passes saw of the cell, added up to
+    1: two that see the same half count as all of it, 0.5 % of two lanes that share half a swath and 8 % of one flown
+    twice, at cells of 4 m. looks uint8: passes that saw something of the cell. towards uint64: the directions they
+    looked in, as `look_bit` has them. seabed uint8, ripple_rad, wavelength_m, unevenness_db float32: as the surest look
+    has it, weighted by how much of the cell it saw. altitude_m float32: mean over looks. Where nothing was seen these
+    are `unknown` and NaN. n_elsewhere: cells seen too far from the others to be laid out in one box with them.
     """
 
     origin_latitude_deg: float

@@ -1,4 +1,4 @@
-"""Add up the sea floor that was covered, counting overlap once."""
+"""Add up the sea floor that was covered, counting overlap of whole cells once."""
 
 from __future__ import annotations
 
@@ -15,6 +15,8 @@ _BLOCK: Final = 64  # cells on the side of a block: 16 kB each, 256 m at cells o
 
 class SeenArea:
     """Sum coverage patches over the cells of the mission's plane: of each cell no more counts than its whole area.
+
+    What passes saw of one cell adds up to that, also where they saw the same part; see `Clearance`.
 
     Cells lie in blocks that come into being where something was covered. So memory grows with the area, about 0.3 MB
     per km².
