@@ -68,8 +68,9 @@ class LawWatch:
         self._n_given = 0  # pings since the start
         self._n_pings = 0  # of them those that do not repeat the one before
         self._n_blocks = 0
-        self._first_s = math.nan
+        self._took_s = 0.0  # since the start, of each step between pings no more than _GAP_S
         self._last_s = math.nan
+        self._far_s = math.nan  # a time that the next one shows to be wrong, or to follow a hole
         self._step_s = math.inf  # between the last two pings, unknown at first
         self._transfer: Transfer | None = None
         self._known: TransferKind | None = None  # by configuration or protocol
@@ -98,18 +99,32 @@ class LawWatch:
         return None if self._is_checked else self._check("")
 
     def _note_time(self, ping: Ping) -> None:
-        """Restart after a hole in time: another recorder may follow, as in several logs replayed as one mission."""
-        step_s = abs(ping.time_s - self._last_s)
-        if self._transfer is not None and step_s > max(_GAP_S, _GAP_STEPS * self._step_s):
-            self._blocks.clear()
-            self._open = {}
-            self._n_blocks = 0
-            self._next_check = _MIN_PINGS // BLOCK_PINGS
-        if not math.isfinite(self._first_s):
-            self._first_s = ping.time_s
-        self._last_s = ping.time_s
-        self._step_s = step_s if 0.0 < step_s < math.inf else self._step_s
+        """Restart after a hole in time: another recorder may follow, as in several logs replayed as one mission.
+
+        A time far from those before and behind it is a wrong one, whether one message bears it or both sides' do.
+        """
         self._n_given += 1
+        if not math.isfinite(ping.time_s) or ping.time_s == self._far_s:
+            return
+        step_s, from_far_s = abs(ping.time_s - self._last_s), abs(ping.time_s - self._far_s)
+        if not self._is_hole(step_s):
+            self._far_s = math.nan
+        elif not from_far_s < math.inf or self._is_hole(from_far_s):
+            self._far_s = ping.time_s
+            return
+        else:
+            step_s, self._far_s = from_far_s, math.nan
+            if self._transfer is not None:
+                self._blocks.clear()
+                self._open = {}
+                self._n_blocks = 0
+                self._next_check = _MIN_PINGS // BLOCK_PINGS
+        self._last_s = ping.time_s
+        self._took_s += min(step_s, _GAP_S) if step_s < math.inf else 0.0
+        self._step_s = step_s if 0.0 < step_s < math.inf else self._step_s
+
+    def _is_hole(self, step_s: float) -> bool:
+        return step_s > max(_GAP_S, _GAP_STEPS * self._step_s)
 
     def _collect(self, ping: Ping) -> None:
         has_sides = ping.port is not None, ping.starboard is not None
@@ -145,7 +160,7 @@ class LawWatch:
             return True
         if self._n_pings % BLOCK_PINGS or self._n_pings < _MIN_PINGS:
             return False
-        if self._n_pings < DECIDE_PINGS and abs(ping.time_s - self._first_s) < _DECIDE_S:
+        if self._n_pings < DECIDE_PINGS and self._took_s < _DECIDE_S:
             return False
         return kind is not None or self._law(None).is_sure
 

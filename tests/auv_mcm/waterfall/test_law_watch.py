@@ -96,6 +96,18 @@ def test_rare_pings_do_not_make_contacts_wait_for_minutes() -> None:
     assert verdict.transfer.kind == "amplitude"
 
 
+@pytest.mark.parametrize("n_sides", [1, 2])
+@pytest.mark.parametrize("wrong", [0, 1, 63, 240, 520])
+def test_one_wrong_time_changes_no_decision(wrong: int, n_sides: int) -> None:
+    """Neither when the law is decided nor when it turns, at ping 512, where another recorder speaks without a hole."""
+    given = pings(AMPLITUDE.astype(np.uint8)) + pings(LOGARITHM, first=512)
+    damaged = list(given)
+    for place in range(wrong, wrong + n_sides):
+        damaged[place] = structs.replace(given[place], time_s=given[wrong].time_s + 1e6)
+    expected = [number for number, _ in verdicts_of(LawWatch(SonarConfig()), given)]
+    assert [number for number, _ in verdicts_of(LawWatch(SonarConfig()), damaged)] == expected
+
+
 def test_a_short_record_is_decided_at_its_end() -> None:
     ((number, verdict),) = verdicts_of(LawWatch(SonarConfig()), pings(AMPLITUDE[:48]))
     assert number == -1
