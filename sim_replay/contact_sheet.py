@@ -14,7 +14,7 @@ from auv_mcm.contacts.contact_words import feature_words
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.shell.whole_files import write_file
 from sim_replay.report.report_words import call_name, degrees_minutes, nice_step
-from sim_replay.verdict_layers import MISSED
+from sim_replay.verdict_layers import MISSED, UNMATCHED
 from sim_replay.verdicts import Judged, evidence_words
 
 if TYPE_CHECKING:
@@ -60,7 +60,10 @@ def write_contact_sheet(path: Path, results: Path, layers: Layers, name: str) ->
     _line(sheet, 18.0, "B", name)
     missed = layers.get(MISSED, ())
     judged = sum(one["properties"].get("verdict") is not None for one in contacts)
-    _line(sheet, 10.0, "", f"{len(contacts)} contacts to look at, {judged} judged; {len(missed)} seen by people alone")
+    words = f"{len(contacts)} contacts to look at, {judged} judged; {len(missed)} seen by people alone"
+    if unmatched := layers.get(UNMATCHED):
+        words += f"; {len(unmatched)} more unmatched: no contact stands for what was judged"
+    _line(sheet, 10.0, "", words)
     _chart(sheet, layers, contacts)
     calls = [str(one["properties"].get("verdict")) for one in contacts]
     counted = Judged(calls.count("mine_like"), calls.count("not_mine_like"), calls.count("undecided"), len(missed))

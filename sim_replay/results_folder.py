@@ -121,9 +121,10 @@ def is_replayed(folder: Path, config: Config) -> bool:
     if summary is None:
         return False
     made_ns = (folder / SUMMARY).stat().st_mtime_ns
-    same_log = all(_is_unchanged(entry, made_ns) for entry in summary["logs"]) and _are_older(config, made_ns)
-    same_log = same_log and _used_lines(summary) == lines_beside(map(named_path, summary["logs"]))
-    return same_log and _is_same(summary["config"], config) and summary.get("program") == program()
+    logs = summary.get("logs") or ()
+    same_log = bool(logs) and all(_is_unchanged(entry, made_ns) for entry in logs) and _are_older(config, made_ns)
+    same_log = same_log and _used_lines(summary) == lines_beside(map(named_path, logs))
+    return same_log and _is_same(summary.get("config"), config) and summary.get("program") == program()
 
 
 def summary_of(folder: Path) -> dict[str, Any] | None:
@@ -149,7 +150,7 @@ def _is_unchanged(entry: dict[str, Any], made_ns: int) -> bool:
         status = os.stat(named_path(entry))
     except OSError:
         return False
-    return status.st_size == entry["bytes"] and status.st_mtime_ns <= made_ns
+    return status.st_size == entry.get("bytes") and status.st_mtime_ns <= made_ns
 
 
 def _are_older(config: Config, made_ns: int) -> bool:

@@ -298,18 +298,18 @@ class ShownMission:
         return keep_bottom(self.store, self.feed.recorded, self._by, stretches)
 
     def replay_again(self) -> None:
-        """Replay the logs into the folder once more, and show that. Raises UsageError where it cannot be."""
+        """Replay the logs into the folder once more, and show that. Raises UsageError where it cannot be, OSError."""
         if self._again is None or self._is_replaying() or not self.feed.is_done:
             raise UsageError("this cannot be replayed here or now: use 'auv-mcm replay'")
         feed, replay = self._again()
         if self.replay is not None:
             self.replay.close()
+        replay.start()  # while what is shown can stay, where this fails
         self.feed.close()
         self.feed, self.replay, self.summary = feed, replay, None
         self._contacts = ContactFile(self.folder)
         self._overview_version, self._matched = -1, ((-1, -1), {})
         self.generation += 1
-        replay.start()
         feed.start()
 
     def _is_replaying(self) -> bool:

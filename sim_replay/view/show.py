@@ -23,6 +23,7 @@ from sim_replay.logs.archive import logs_of
 from sim_replay.logs.open_log import is_session, logs_config
 from sim_replay.logs.session_parts import recordings_of, session_of
 from sim_replay.results_folder import default_results, is_replayed, resolved_log
+from sim_replay.verdicts import MAX_TYPE
 from sim_replay.view.background_replay import BackgroundReplay
 from sim_replay.view.chart import read_chart
 from sim_replay.view.mission import ReplayAgain, ShownMission
@@ -75,6 +76,11 @@ def show(
         For a folder that is missing, BadInputError for one that shows nothing, HardwareError for an address that
         cannot be had.
     """
+    by = by or _user()
+    if len(clean(by)) > MAX_TYPE:
+        raise UsageError(
+            f"{len(clean(by))} characters name who judges, a verdict has room for {MAX_TYPE}: shorten --by"
+        )
     config = None if config_path is None else read_config(config_path)
     chart = None if chart_path is None else read_chart(chart_path)
     if not paths and not live:
@@ -85,9 +91,9 @@ def show(
     if live:
         wait_for_session(folder)
     if live or (len(paths) == 1 and is_shown(folder)):
-        mission = open_shown(folder, logs, config, by or _user())
+        mission = open_shown(folder, logs, config, by)
     else:
-        mission = open_new(logs_named(paths), config, by or _user())
+        mission = open_new(logs_named(paths), config, by)
     _serve_until_closed(mission, MissionServer(mission, host, port, chart=chart), open_browser)
     return 0
 

@@ -22,7 +22,7 @@ from sim_replay.contact_sheet import sheet_contacts, write_contact_sheet
 from sim_replay.report import PictureCollector, Shown
 from sim_replay.report.report_file import ReportContents, read_contents, report_contents, write_contents
 from sim_replay.training_export import CATEGORIES, judged_chips, write_coco, write_yolo
-from sim_replay.verdict_layers import with_verdicts
+from sim_replay.verdict_layers import UNMATCHED, with_verdicts
 from sim_replay.verdicts import Call, Verdict, append_verdict, read_verdicts
 from tests.sim_replay.report_samples import contact, detection, mission
 
@@ -140,6 +140,15 @@ def test_words_of_a_sheet_stay_above_the_lower_margin_however_long_they_are(tmp_
     heights_pt = [float(up) for page in pages for up in re.findall(rb"BT [\d.-]+ ([\d.-]+) Td", zlib.decompress(page))]
     assert len(heights_pt) > 90
     assert min(heights_pt) > 15.0 / 25.4 * 72.0
+
+
+def test_a_sheet_counts_verdicts_that_no_contact_stands_for(tmp_path: Path) -> None:
+    judge(tmp_path)
+    alone = with_verdicts({"contacts": []}, read_verdicts(tmp_path))
+    write_contact_sheet(tmp_path / "alone.pdf", tmp_path, alone, "Line 7")
+    page = re.findall(rb"stream\n(.*?)\nendstream", (tmp_path / "alone.pdf").read_bytes(), re.DOTALL)[0]
+    n_unmatched = len(alone[UNMATCHED])
+    assert f"{n_unmatched} more unmatched" in zlib.decompress(page).decode("latin-1")
 
 
 def test_a_sheet_has_every_contact_that_matters_and_is_the_same_each_time(tmp_path: Path) -> None:

@@ -194,7 +194,13 @@ def test_a_log_whose_name_is_no_utf8_is_found_from_its_results(tmp_path: Path) -
     (old := tmp_path / "old").mkdir()
     log = log_of(old / "l\udce9g.xtf", mission())
     summary = replayed(log, old / "out")
-    assert is_replayed(old / "out", msgspec.convert(summary["config"], Config))
+    config = msgspec.convert(summary["config"], Config)
+    assert is_replayed(old / "out", config)
+    for damaged in ({"config": None}, {"logs": [{"path": str(log)}]}, {"logs": None}):  # as by hand
+        rest = {name: value for name, value in (summary | damaged).items() if value is not None}
+        (old / "out" / "summary.json").write_text(json.dumps(rest), "utf-8")
+        assert not is_replayed(old / "out", config)
+    (old / "out" / "summary.json").write_text(json.dumps(summary), "utf-8")
     assert default_results([log], old) == old / "l\udce9g-results"
     old.rename(new := tmp_path / "new")
     assert main(["export", str(new / "out"), "--geotiff", str(tmp_path / "mosaic.tif")]) == 0

@@ -5,7 +5,8 @@ import {colour} from "./dom.js";
 const REACH_PX = 9; // around a point that a press takes hold of it
 
 export function bottomEditor(changed) {
-  let tracked = {row: [], first_return: []}, stretches = [], current = null, held = null, added = [];
+  let tracked = {row: [], first_return: []}, stretches = [], current = null, held = null;
+  let added = []; // what can be undone: points put in, dragged from where they were, or all cleared
 
   const spans = (stretch, row) => stretch.length > 1 && stretch[0].row <= row && row <= stretch.at(-1).row;
 
@@ -75,10 +76,10 @@ export function bottomEditor(changed) {
       return held !== null;
     },
     drag({row, across_m}) {
+      if (!held.was) added.push(Object.assign(held, {was: {...held.point}}));
       const index = held.stretch.indexOf(held.point), [before, after] = [held.stretch[index - 1], held.stretch[index + 1]];
       if ((!before || row > before.row) && (!after || row < after.row)) held.point.row = row;
       held.point.range = Math.max(0.05, Math.abs(across_m));
-      if (!added.length) added.push(null); // something is to be saved
       changed();
     },
     release() { held = null; },
@@ -93,7 +94,11 @@ export function bottomEditor(changed) {
     },
     undo() {
       const last = added.pop();
-      if (last) {
+      if (last && last.was) {
+        Object.assign(last.point, last.was);
+      } else if (last && last.cleared) {
+        stretches = last.cleared;
+      } else if (last) {
         last.stretch.splice(last.stretch.indexOf(last.point), 1);
         stretches = stretches.filter((one) => one.length);
         if (!stretches.includes(current)) current = null;
@@ -102,9 +107,9 @@ export function bottomEditor(changed) {
     },
     next() { current = null; changed(); },
     clear() {
+      added.push({cleared: stretches});
       stretches = [];
       current = null;
-      added = [null];
       changed();
     },
     reset() { added = []; stretches = []; current = null; changed(); },

@@ -173,6 +173,28 @@ def test_an_analyst_looks_judges_measures_and_draws(tmp_path: Path) -> None:
     assert verdicts[4].ground_range_m == pytest.approx(6.0, abs=0.1)
 
 
+def test_what_was_done_to_the_bottom_line_is_undone_step_by_step_and_else_to_be_saved(tmp_path: Path) -> None:
+    async def visit(page: BrowserPage) -> None:
+        steps = """(() => {
+          const line = bench.bottom, noted = [], place = (row, range) => [row, range];
+          const note = () => noted.push([line.isChanged, JSON.stringify(line.stretches)]);
+          line.click({row: 10, across_m: 4}); line.click({row: 30, across_m: 4}); line.saved();
+          line.press(10, 4, place); line.drag({row: 15, across_m: 6}); line.drag({row: 12, across_m: 6}); note();
+          line.click({row: 20, across_m: 5}); line.clear(); note();
+          line.undo(); line.undo(); note();
+          line.undo(); note();
+          return noted;
+        })()"""
+        assert await page.evaluate(steps) == [
+            [True, "[[[12,6],[30,4]]]"],
+            [True, "[]"],
+            [True, "[[[12,6],[30,4]]]"],
+            [False, "[[[10,4],[30,4]]]"],
+        ]
+
+    in_browser(shown(write_results(tmp_path, [feature(1)]), sea_floor()), visit)
+
+
 def test_a_chart_lies_below_the_map_until_it_is_switched_off(tmp_path: Path) -> None:
     folder = write_results(tmp_path, [feature(1, OBJECT_ROW, OBJECT_M)])
     mission = shown(folder, sea_floor())

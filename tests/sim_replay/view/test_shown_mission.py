@@ -22,7 +22,7 @@ from sim_replay.view.background_replay import BackgroundReplay
 from sim_replay.view.mission import Judgement, ReplayAgain, ShownMission
 from sim_replay.view.mission_feed import MissionFeed
 from sim_replay.view.places import WaterfallPoint
-from sim_replay.view.show import named_logs, open_shown
+from sim_replay.view.show import named_logs, open_shown, show
 from sim_replay.view.waterfall_store import WaterfallStore
 from tests.auv_mcm.shell.health.measurements import record
 from tests.sim_replay.augment.plain_logs import CONFIG, N_PINGS, written
@@ -160,6 +160,28 @@ def test_verdicts_of_before_another_replay_from_the_page_go_to_no_contact_of_the
     mission.replay_again()
     mission.refresh()
     assert list(mission.contacts()["verdicts"]) == ["C00002"]
+
+
+def test_a_replay_that_cannot_begin_leaves_what_is_shown(tmp_path: Path) -> None:
+    class Replay(BackgroundReplay):
+        def start(self) -> None:
+            raise OSError("the disk cannot be written to")
+
+    folder = write_results(tmp_path, [feature(1)])
+    feed = shown(folder).feed
+    again = ReplayAgain(MissionFeed(filled_store(), lambda stop: None), Replay([], folder, CONFIG))
+    mission = ShownMission(folder, feed, by="kim", is_live=False, again=lambda: again)
+    mission.refresh()
+    with pytest.raises(OSError, match="cannot be written"):
+        mission.replay_again()
+    assert mission.feed is feed
+    assert (mission.state()["done"], mission.state()["replay_again"]) == (True, True)
+
+
+@pytest.mark.parametrize("by", ["k" * 65, "\x07" * 20])
+def test_a_name_too_long_for_a_verdict_is_refused_at_the_start(tmp_path: Path, by: str) -> None:
+    with pytest.raises(UsageError, match="--by"):
+        show([write_results(tmp_path, [feature(1)])], logs=[], by=by)
 
 
 def test_a_verdict_given_on_another_page_is_shown_without_judging_here(tmp_path: Path) -> None:
