@@ -111,16 +111,17 @@ class N2kBus:
         known = self._talkers.get(address)
         if known is not None and known.name == name:
             return
+        for other in [other for other, talker in self._talkers.items() if talker.name == name]:
+            del self._talkers[other]
+        if address >= _NO_ADDRESS:
+            return
         if name not in self._labels:
             if len(self._labels) >= _MAX_NAMES:
                 self._own["n2k.too_many_units"] += 1
                 return
             label = f"{self._source}.{address}"
             self._labels[name] = f"{self._source}.{name:016x}" if label in self._labels.values() else label
-        for other in [other for other, talker in self._talkers.items() if talker.name == name]:
-            del self._talkers[other]
-        if address < _NO_ADDRESS:
-            self._talkers[address] = _Talker(self._labels[name], name)
+        self._talkers[address] = _Talker(self._labels[name], name)
 
     def _fix_fields(self, record: Record, talker: _Talker) -> dict[str, Any] | None:
         """Return the fields of a fix that a message fills; None for one without information on the vehicle's track."""

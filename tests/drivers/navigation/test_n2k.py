@@ -292,6 +292,13 @@ def test_no_frames_raise(frames: list[tuple[int, bytes]]) -> None:
     assert len(sent(bus, n2k.WaterDepth(7.0, 5.0, 0.0, NAN))) == 1
 
 
+def test_a_unit_that_could_claim_no_address_at_first_is_named_by_the_one_it_gets() -> None:
+    bus = N2kBus("bus")
+    claim(bus, 0x1234, 254)
+    claim(bus, 0x1234, 35)
+    assert bus.units == {"bus.35": 0x1234}
+
+
 def test_memory_stays_bounded_whatever_is_claimed_or_begun() -> None:
     bus = N2kBus("can")
     packets = FastPackets()
