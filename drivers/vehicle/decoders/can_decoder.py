@@ -81,6 +81,8 @@ class CanDecoder:
         return [VehicleMessage(received.record, stamp, state, (fix_of(self._port, state), *fixes))]
 
     def _states(self, fix: NavFix) -> list[ReportedState]:
+        if not fix.valid:  # as of an echo sounder that found no bottom, which is not an altitude of 0
+            return []
         mono_ns = fix.received.mono_ns
         for name in _QUANTITIES:
             value = getattr(fix, name)
