@@ -22,7 +22,7 @@ from auv_mcm.detect.suppress import Suppressor
 from auv_mcm.records import SATURATED, VALID, Detection, Tile
 from auv_mcm.settings.config import Config
 from auv_mcm.waterfall.radiometry import AngleCurve, local_mean
-from tests.make.records import straight_pose
+from tests.make.records import straight_pose, tile_with
 
 Mask = NDArray[np.bool_]
 Plane = NDArray[np.float64]
@@ -92,22 +92,16 @@ def tile_of_picture(counts: Counts, geometry: Geometry) -> Tile:
     plane, bits = np.zeros(shape, dtype=np.float32), np.zeros(shape, dtype=np.uint8)
     plane[:, offset:] = np.where(valid, levelled / np.maximum(mean, 1e-9), 0.0)
     bits[:, offset:] = np.where(valid, VALID, 0) | np.where(valid & (counts >= _BRIGHTEST), SATURATED, 0)
-    return Tile(
-        side="starboard",
-        index=0,
-        first_row=0,
-        core_start=0,
-        core_stop=n_rows,
+    return tile_with(
+        plane,
+        bits,
         row_spacing_m=geometry.pixel_m,
         column_spacing_m=geometry.pixel_m,
-        intensity=plane,
-        mask=bits,
         pose=straight_pose(
             n_rows, geometry.pixel_m, (45.0, 5.0), speed_mps=_SPEED_MPS, altitude_m=geometry.first_return_m
         ),
-        first_return_m=np.full(n_rows, geometry.first_return_m),
+        first_return_m=geometry.first_return_m,
         first_return_sigma_m=np.full(n_rows, 0.05 * geometry.first_return_m),
-        ping_number=np.arange(n_rows, dtype=np.int64),
     )
 
 

@@ -30,6 +30,7 @@ from auv_mcm.detect.detect_tile import TileDetections, detect_tile
 from auv_mcm.records import LOW_RESOLUTION, SATURATED, TURN, VALID, Tile
 from auv_mcm.settings.config import Config, DetectConfig
 from sim_replay.benches.stability.rows import random_of
+from tests.make.models import model_with
 from tests.stability.tile_pictures import COLUMN_M, PICTURES, ROW_M, SHAPE, holes, speckle, tile_of, with_object
 
 Codes = NDArray[np.uint16]
@@ -50,16 +51,9 @@ def contrast(a: FeatureBox, b: FeatureBox, threshold: float, leaf: int = SCORE_U
 
 
 def model_of(*groups: tuple[Stump, ...], reject: int = 0) -> CascadeModel:
-    model = CascadeModel(
-        kind="soft",
-        trained_on="nothing",
-        training_sha256="",
-        row_spacing_m=(0.001, 10.0),
-        column_spacing_m=(0.001, 10.0),
-        calibration=Calibration(score=(-3 * SCORE_UNIT, 3 * SCORE_UNIT), log_odds=(-6.0, 6.0)),
-        reject=(reject,) * len(groups),
-        groups=groups,
-    )
+    any_m = 0.001, 10.0
+    calibration = Calibration(score=(-3 * SCORE_UNIT, 3 * SCORE_UNIT), log_odds=(-6.0, 6.0))
+    model = model_with(groups, reject, row_spacing_m=any_m, column_spacing_m=any_m, calibration=calibration)
     check_model(model, "made here")
     return model
 

@@ -19,7 +19,6 @@ from auv_mcm.detect.cascade.model import (
     MAX_LEAF,
     MAX_STUMPS,
     SCORE_UNIT,
-    Calibration,
     CascadeModel,
     check_model,
     encode_model,
@@ -31,6 +30,7 @@ from sim_replay.fitting.cascade.boost import N_BINS, Bins, BoostedStump, gentle_
 from sim_replay.fitting.cascade.pool import Pool, bin_edges, feature_pool, model_stump, pool_box_means, quantise
 from sim_replay.fitting.cascade.soft import best_windows, reject_thresholds
 from sim_replay.fitting.cascade.validation import ValidationSighting, calibrate, expected_pd
+from tests.make.models import model_with
 from tests.stability.tile_pictures import PICTURES
 
 Labels = NDArray[np.bool_]
@@ -57,16 +57,7 @@ def places(n: int = 300) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 
 def model_of(stumps: list[BoostedStump], edges: NDArray[np.float32]) -> CascadeModel:
-    model = CascadeModel(
-        kind="soft",
-        trained_on="nothing",
-        training_sha256="",
-        row_spacing_m=(0.1, 0.2),
-        column_spacing_m=(0.05, 0.1),
-        calibration=Calibration(score=(0, 1), log_odds=(0.0, 0.0)),
-        reject=(-MOST,),
-        groups=(tuple(model_stump(SOME, edges, stump) for stump in stumps),),
-    )
+    model = model_with((tuple(model_stump(SOME, edges, stump) for stump in stumps),), -MOST)
     check_model(model, "trained here")
     return model
 

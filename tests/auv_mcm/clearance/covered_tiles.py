@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import LOW_RESOLUTION, VALID, PoseTrack, Side, Tile
-from tests.make.records import tile_with
+from tests.make.records import straight_pose, tile_with
 
 ROW_M, COLUMN_M = 0.12, 0.25
 FIRST_RETURN_M = 5.0
@@ -21,21 +20,16 @@ def track(
 ) -> PoseTrack:
     """Straight, one pose at each row's centre; the upper edge of row 0 at the given place. Standing still during each
     ping."""
-    frame = LocalFrame(latitude_deg=latitude_deg, longitude_deg=longitude_deg)
-    heading = math.radians(heading_deg)
-    along_m = (np.arange(n_rows) + 0.5) * ROW_M
-    latitude, longitude, _ = frame.to_geodetic(
-        np.stack((along_m * math.sin(heading), along_m * math.cos(heading), np.zeros(n_rows)), axis=-1)
+    moving = straight_pose(
+        n_rows,
+        ROW_M,
+        (latitude_deg, longitude_deg),
+        heading_rad=math.radians(heading_deg),
+        speed_mps=1.0,
+        altitude_m=FIRST_RETURN_M,
     )
-    columns: dict[str, Any] = dict.fromkeys(("depth_m", "pitch_rad", "roll_rad", "speed_mps"), np.zeros(n_rows))
-    return PoseTrack(
-        time_s=np.asarray(100.0 + np.arange(n_rows) * 0.07, dtype=np.float64),
-        latitude_deg=latitude,
-        longitude_deg=longitude,
-        heading_rad=np.full(n_rows, heading),
-        altitude_m=np.full(n_rows, FIRST_RETURN_M),
-        stale=np.zeros(n_rows, dtype=np.bool_),
-        **columns,
+    return msgspec.structs.replace(
+        moving, time_s=np.asarray(100.0 + np.arange(n_rows) * 0.07, dtype=np.float64), speed_mps=np.zeros(n_rows)
     )
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.records import VALID, PoseTrack, Side, Tile
-from tests.make.records import straight_pose
+from tests.make.records import straight_pose, tile_with
 
 ROW_M = 0.12
 COLUMN_M = 0.06
@@ -40,19 +40,17 @@ def make_tile(
     n_rows = intensity.shape[0]
     bits = np.full(intensity.shape, VALID, dtype=np.uint8) if mask is None else mask
     core_start, core_stop = (0, n_rows) if core is None else core
-    return Tile(
+    return tile_with(
+        np.where((bits & VALID) != 0, intensity, 0.0),
+        bits,
         side=side,
-        index=0,
         first_row=first_row,
         core_start=core_start,
         core_stop=core_stop,
         row_spacing_m=row_m,
         column_spacing_m=column_m,
-        intensity=np.where((bits & VALID) != 0, intensity, 0.0).astype(np.float32),
-        mask=bits,
         pose=straight_track(n_rows, row_m, first_row=first_row) if pose is None else pose,
-        first_return_m=np.full(n_rows, first_return_m),
-        first_return_sigma_m=np.full(n_rows, 0.1),
+        first_return_m=first_return_m,
         ping_number=first_row + np.arange(n_rows, dtype=np.int64),
     )
 

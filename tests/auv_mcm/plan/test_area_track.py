@@ -16,6 +16,7 @@ from auv_mcm.clearance.detection_performance import shipped_performance
 from auv_mcm.plan.dubins import PlanePose, dubins_path
 from auv_mcm.records import SEABED_TYPES, SurveyedCells
 from tests.auv_mcm.plan.test_clear_area import Mission, drawn_patch
+from tests.make.records import cells_of
 
 SIDE_M, BEYOND_M = 200.0, 15.0
 FENCE_M = 70.0
@@ -58,22 +59,17 @@ class Patchy(Mission):
             & (beside >= 2.0)
             & (beside <= self.sight_m)
         )
-        n = int(seen.sum())
         kind = self.floor.ravel()[seen]
-        known = {name: np.full(n, value, dtype=np.float32) for name, value in
-                 {"fraction": 1.0, "altitude_m": 5.0, "confidence": 0.9, "wavelength_m": np.nan,
-                  "unevenness_db": np.nan}.items()}  # fmt: skip
-        return SurveyedCells(
+        return cells_of(
+            dict.fromkeys(zip(east[seen].tolist(), north[seen].tolist(), strict=True), 1.0),
             origin_latitude_deg=self.frame.latitude_deg,
             origin_longitude_deg=self.frame.longitude_deg,
-            cell_m=4.0,
-            east_index=east[seen].astype(np.int32),
-            north_index=north[seen].astype(np.int32),
-            ground_range_m=beside[seen].astype(np.float32),
-            look_rad=np.full(n, (course + sense * math.pi / 2.0) % (2.0 * math.pi), dtype=np.float32),
-            seabed=kind.astype(np.uint8),
-            ripple_rad=np.where(kind == KINDS[1], self.crests, np.nan).astype(np.float32),
-            **known,
+            ground_range_m=beside[seen],
+            altitude_m=5.0,
+            look_rad=(course + sense * math.pi / 2.0) % (2.0 * math.pi),
+            seabed=kind,
+            confidence=0.9,
+            ripple_rad=np.where(kind == KINDS[1], self.crests, np.nan),
         )
 
     def mown_m(self, spacing_m: float) -> float:

@@ -159,33 +159,25 @@ class Mission:
         self, entry: NDArray[np.float64], leave: NDArray[np.float64], course: float, sense: float
     ) -> SurveyedCells | None:
         """Cell by cell, those that lie abeam."""
-        seen = []
+        seen = {}
         for east in range(-40, 60):
             for north in range(-40, 60):
                 off_east, off_north = 4.0 * east + 2.0 - entry[0], 4.0 * north + 2.0 - entry[1]
                 ahead = off_east * math.sin(course) + off_north * math.cos(course)
                 beside = sense * (off_east * math.cos(course) - off_north * math.sin(course))
                 if 10.0 <= ahead <= math.hypot(*(leave - entry)) - 10.0 and 2.0 <= beside <= self.sight_m:
-                    seen.append((east, north, beside))
+                    seen[east, north] = beside
         if not seen:
             return None
-        east, north, beside = np.array(seen).T
-        n = len(seen)
-        return SurveyedCells(
+        return cells_of(
+            dict.fromkeys(seen, 1.0),
             origin_latitude_deg=self.frame.latitude_deg,
             origin_longitude_deg=self.frame.longitude_deg,
-            cell_m=4.0,
-            east_index=east.astype(np.int32),
-            north_index=north.astype(np.int32),
-            fraction=np.ones(n, dtype=np.float32),
-            ground_range_m=beside.astype(np.float32),
-            altitude_m=np.full(n, 5.0, dtype=np.float32),
-            look_rad=np.full(n, (course + sense * math.pi / 2.0) % (2.0 * math.pi), dtype=np.float32),
-            seabed=np.full(n, SEABED_TYPES.index("flat"), dtype=np.uint8),
-            confidence=np.full(n, 0.9, dtype=np.float32),
-            ripple_rad=np.full(n, np.nan, dtype=np.float32),
-            wavelength_m=np.full(n, np.nan, dtype=np.float32),
-            unevenness_db=np.full(n, np.nan, dtype=np.float32),
+            ground_range_m=list(seen.values()),
+            altitude_m=5.0,
+            look_rad=(course + sense * math.pi / 2.0) % (2.0 * math.pi),
+            seabed=SEABED_TYPES.index("flat"),
+            confidence=0.9,
         )
 
     def assert_kept_to_limits(self) -> None:

@@ -29,14 +29,13 @@ from auv_mcm.records import (
     Notice,
     Ping,
     PipelineEvent,
-    PoseTrack,
     ShapeModel,
     SourceEvent,
     Tile,
 )
 from auv_mcm.settings.config import Config
 from tests.auv_mcm.classify import drawn_looks
-from tests.make.records import patch_of
+from tests.make.records import patch_of, tile_with
 
 START_S = 1_700_000_000.0
 
@@ -293,33 +292,7 @@ def patch(number: int) -> CoveragePatch:
 
 
 def empty_tile() -> Tile:
-    none = np.empty(0)
-    names = (
-        "time_s",
-        "latitude_deg",
-        "longitude_deg",
-        "depth_m",
-        "heading_rad",
-        "pitch_rad",
-        "roll_rad",
-        "speed_mps",
-        "altitude_m",
-    )
-    return Tile(
-        side="port",
-        index=0,
-        first_row=0,
-        core_start=0,
-        core_stop=0,
-        row_spacing_m=0.1,
-        column_spacing_m=0.1,
-        intensity=np.empty((0, 0), np.float32),
-        mask=np.empty((0, 0), np.uint8),
-        pose=PoseTrack(**dict.fromkeys(names, none), stale=np.empty(0, np.bool_)),
-        first_return_m=none,
-        first_return_sigma_m=none,
-        ping_number=np.empty(0, np.int64),
-    )
+    return tile_with(np.empty((0, 0)), side="port", row_spacing_m=0.1, column_spacing_m=0.1)
 
 
 def digest(event: SourceEvent) -> str:

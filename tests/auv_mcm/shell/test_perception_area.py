@@ -4,30 +4,21 @@ from __future__ import annotations
 
 import asyncio
 from contextlib import closing
-from itertools import pairwise
 from pathlib import Path
 
 from auv_mcm.plan.look_again import PlanRequest, Run
-from auv_mcm.records import Waypoint
 from auv_mcm.settings.config import Config
 from auv_mcm.settings.plan_settings import PlanConfig
 from auv_mcm.shell.checkpoint import Keeping, commit_checkpoint
 from auv_mcm.shell.perception import Perception
 from auv_mcm.shell.perception_messages import Checkpointed, Planned
 from tests.auv_mcm.contacts.temporary_records import temporary_record_file
+from tests.auv_mcm.plan.test_clear_area import runs
 from tests.auv_mcm.plan.test_propose import SQUARE, fenced, geodetic
 from tests.auv_mcm.shell import fake_pipelines as fake
 
 AREA = tuple(geodetic(*corner) for corner in ((0.0, 0.0), (0.0, 60.0), (80.0, 60.0), (80.0, 0.0)))
 CONFIG = Config(plan=PlanConfig(area_deg=AREA), vehicle=fenced(SQUARE))
-
-
-def runs(waypoints: tuple[Waypoint, ...]) -> list[Run]:
-    return [
-        ((entry.latitude_deg, entry.longitude_deg), (leave.latitude_deg, leave.longitude_deg))
-        for entry, leave in pairwise(waypoints)
-        if leave.kind == "leg_exit"
-    ]
 
 
 async def planned(perception: Perception, keeping: Keeping, flown: tuple[Run, ...]) -> list[Run]:

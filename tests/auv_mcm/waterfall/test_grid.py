@@ -13,23 +13,24 @@ from numpy.typing import NDArray
 
 from auv_mcm.records import LOW_RESOLUTION, SATURATED, TURN, VALID, PoseTrack, Side
 from auv_mcm.waterfall.grid import AlongTrackGrid, SideImage, Swath, concatenate_swaths, slice_swath
+from tests.make.records import pose_of
 
 N_COLUMNS = 3
 
 
 def poses(along_m: NDArray[Any]) -> PoseTrack:
     """Everything linear in distance, so that an interpolated pose is known in closed form."""
-    return PoseTrack(
+    return pose_of(
+        along_m.size,
         time_s=1.7e9 + 0.5 * along_m,
         latitude_deg=43.0 + 1e-5 * along_m,
-        longitude_deg=np.full(along_m.shape, 5.0),
+        longitude_deg=5.0,
         depth_m=10.0 - 0.01 * along_m,
         heading_rad=0.3 + 0.02 * along_m,
         pitch_rad=0.001 * along_m,
         roll_rad=-0.001 * along_m,
         speed_mps=2.0 + 0.01 * along_m,
         altitude_m=8.0 + 0.1 * along_m,
-        stale=np.zeros(along_m.shape, dtype=np.bool_),
     )
 
 

@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 
 from auv_mcm.detect.cascade.codes import CodePlane, make_plane
-from auv_mcm.detect.cascade.model import Calibration, CascadeModel
+from auv_mcm.detect.cascade.model import CascadeModel
 from auv_mcm.detect.cascade.run import run_plane, trace_plane
 from sim_replay.fitting.cascade.boost import BoostedStump
 from sim_replay.fitting.cascade.bootstrap import CLEAR_M, Errand, clear_of_targets, glean, target_bags
 from sim_replay.fitting.cascade.pool import feature_pool, model_stump, pool_box_means
 from sim_replay.fitting.cascade.store import pack, write_set
 from sim_replay.fitting.cascade.tiles import LabelledTile
+from tests.make.models import model_with
 from tests.sim_replay.fitting.cascade.training_tiles import (
     COLUMN_M,
     CORE,
@@ -40,16 +41,7 @@ def _model(reject: int = 0, kind: Literal["soft", "stages"] = "soft") -> Cascade
     stumps = [
         model_stump(POOL, edges, BoostedStump(feature, 0, -100 - k, 100 + 7 * k)) for k, feature in enumerate(chosen)
     ]
-    return CascadeModel(
-        kind=kind,
-        trained_on="nothing",
-        training_sha256="",
-        row_spacing_m=(0.1, 0.2),
-        column_spacing_m=(0.05, 0.1),
-        calibration=Calibration(score=(0, 1), log_odds=(0.0, 0.0)),
-        reject=(reject, reject, reject),
-        groups=(tuple(stumps[:3]), tuple(stumps[3:6]), tuple(stumps[6:])),
-    )
+    return model_with((tuple(stumps[:3]), tuple(stumps[3:6]), tuple(stumps[6:])), reject, kind=kind)
 
 
 def test_a_target_s_bag_holds_the_usable_windows_within_half_a_metre() -> None:

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from auv_mcm.detect.cascade.model import Calibration, CascadeModel, check_model
+from auv_mcm.detect.cascade.model import CascadeModel, check_model
 from sim_replay.fitting.cascade.boost import BoostedStump
 from sim_replay.fitting.cascade.bootstrap import clear_of_targets
 from sim_replay.fitting.cascade.pool import Feature, Pool, model_stump
@@ -22,6 +22,7 @@ from sim_replay.fitting.cascade.validation import (
     passed,
     sightings,
 )
+from tests.make.models import model_with
 from tests.sim_replay.fitting.cascade.training_tiles import drawn_tile
 
 POOL = whole_pool()
@@ -34,16 +35,7 @@ def _bright(times: float, reject: int = 0) -> CascadeModel:
     )
     pool = Pool(POOL.boxes, (Feature(True, middle, 0),))
     stump = model_stump(pool, np.array([[times]], dtype=np.float32), BoostedStump(0, 0, -10, 10))
-    return CascadeModel(
-        kind="soft",
-        trained_on="nothing",
-        training_sha256="",
-        row_spacing_m=(0.1, 0.2),
-        column_spacing_m=(0.05, 0.1),
-        calibration=Calibration(score=(0, 1), log_odds=(0.0, 0.0)),
-        reject=(reject,),
-        groups=((stump,),),
-    )
+    return model_with(((stump,),), reject)
 
 
 @settings(deadline=None)
