@@ -41,6 +41,7 @@ BOW_M = ((-100.0, -100.0), (100.0, 100.0), (100.0, -100.0), (-100.0, 50.0))
 EIGHT_M = ((-100.0, -50.0), (100.0, 50.0), (190.0, 0.0), (100.0, -50.0), (-100.0, 50.0), (-150.0, 0.0))
 Metres = tuple[float, float]
 PLACES = st.tuples(st.floats(-150.0, 150.0), st.floats(-150.0, 150.0))
+IN_ARMS = st.tuples(st.sampled_from([-75.0, 75.0]), st.floats(10.0, 90.0))  # of the horseshoe
 HOMES = st.sampled_from([HOME_DEG, (0.0, 180.0), (-70.0, -179.9999), (89.999, 30.0), (-89.9995, 100.0)])
 
 
@@ -116,7 +117,7 @@ def test_clearance_of_a_way_is_that_of_walking_it(
 
 
 @settings(max_examples=50, deadline=None)
-@given(st.sampled_from([SQUARE_M, HORSESHOE_M]), PLACES, PLACES, HOMES)
+@given(st.sampled_from([SQUARE_M, HORSESHOE_M]), PLACES | IN_ARMS, PLACES | IN_ARMS, HOMES)
 def test_no_go_to_leads_out_of_the_fence(
     corners_m: tuple[Metres, ...], start_m: Metres, end_m: Metres, home_deg: Metres
 ) -> None:

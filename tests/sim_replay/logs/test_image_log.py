@@ -158,11 +158,13 @@ def test_ground_range_comes_back_as_the_ground_range_it_was(tmp_path: Path) -> N
     np.save(tmp_path / "a.npy", numbers)
     log = open_log(beside(tmp_path / "a.npy", range="ground", samples="intensity", near_range_m=10.0), Config())
     lines = [event.starboard for event in log if isinstance(event, Ping)]
+    assert len(lines) == N_LINES
     for number, trace in enumerate(lines):
         assert trace is not None
         slant_m = trace.first_range_m + trace.spacing_m * np.arange(len(trace.samples))
         ground_m = np.sqrt(slant_m**2 - 8.0**2)
         inside = (ground_m > 25.1) & (ground_m < 25.9)
+        assert inside.any()
         assert np.isnan(trace.samples).all() if number == 5 else np.allclose(trace.samples[inside], 50.0)
         if number != 5:
             weight = np.gradient(ground_m)

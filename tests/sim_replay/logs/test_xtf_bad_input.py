@@ -246,10 +246,9 @@ def test_random_packets_area_is_refused_or_read(tmp_path_factory: pytest.TempPat
 def test_one_channel_only(tmp_path: Path) -> None:
     for side in ("port", "starboard"):
         path = written(tmp_path / f"{side}.xtf", 4, sides=(side,))
-        for p in pings_of(read(path)[0]):
-            assert (p.port is None) == (side == "starboard")
-            assert (p.starboard is None) == (side == "port")
-            assert same_trace(p.port or p.starboard, getattr(ping(p.number), side))
+        found = pings_of(read(path)[0])
+        assert [(p.port is None, p.starboard is None) for p in found] == [(side == "starboard", side == "port")] * 4
+        assert all(same_trace(p.port or p.starboard, getattr(ping(p.number), side)) for p in found)
 
 
 def test_a_side_that_comes_and_goes(tmp_path: Path) -> None:
@@ -316,7 +315,7 @@ def test_an_impossible_position_is_unknown(tmp_path: Path, latitude: float, long
 
     edit_headers(path, move)
     events, log = read(path)
-    assert all(math.isnan(s.latitude_deg) and math.isnan(s.longitude_deg) for s in navigation_of(events))
+    assert [math.isnan(s.latitude_deg) and math.isnan(s.longitude_deg) for s in navigation_of(events)] == [True] * 2
     assert log.counters["reader.impossible_position"] == 2
 
 
