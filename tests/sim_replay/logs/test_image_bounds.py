@@ -18,7 +18,6 @@ import tifffile
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from auv_mcm.cli import main
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import Notice, Ping
 from auv_mcm.settings.config import Config
@@ -146,12 +145,6 @@ def test_one_bad_image_is_left_out_and_the_other_logs_go_on(tmp_path: Path) -> N
     events = list(open_mission(logs, Config()).events())
     assert next(event.code for event in events if isinstance(event, Notice)) == "log_unusable"
     assert any(isinstance(event, Ping) for event in events)
-
-
-def test_a_replay_of_a_bad_image_exits_with_3(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    broken_group(tmp_path / "a.h5")
-    assert main(["replay", str(beside(tmp_path / "a.h5")), "--out", str(tmp_path / "out")]) == 3
-    assert "Traceback" not in capsys.readouterr().err
 
 
 # --- decoders stop at what the header states ---

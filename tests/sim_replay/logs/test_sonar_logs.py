@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable
-from itertools import pairwise
+from collections.abc import Callable, Iterable
+from itertools import pairwise, takewhile
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -45,42 +44,49 @@ from tests.sim_replay.logs.sonar_logs import (
 )
 
 
-def of_subsystem(data: bytes, subsystem: int) -> bytes:
-    return b"".join(
-        jsf_wire(framed.message._replace(subsystem=subsystem))
-        for framed in _jsf(data)
-        if framed.message.message_type == 80
-    )
-
-
-def _jsf(data: bytes) -> list[Any]:
+def messages_of(folder: Path) -> list[JsfMessage]:
+    """Write a JSF log, `whole`, and return its messages."""
     framer = Framer(JsfGrammar())
-    return framer.feed(data) + framer.finish()
+    framed = framer.feed(written("jsf", folder / "whole").read_bytes()) + framer.finish()
+    return [each.message for each in framed]
+
+
+def jsf_log(folder: Path, messages: Iterable[JsfMessage]) -> Path:
+    """Write a log of other messages, `log`, beside it."""
+    path = folder / "log"
+    path.write_bytes(b"".join(map(jsf_wire, messages)))
+    return path
+
+
+def is_side_scan(message: JsfMessage) -> bool:
+    return message.message_type == 80
+
+
+def is_sentence(message: JsfMessage) -> bool:
+    return message.message_type == 2002
 
 
 def test_a_jsf_log_of_the_low_frequency_alone_is_taken(tmp_path: Path) -> None:
-    whole = written("jsf", tmp_path / "high").read_bytes()
-    low = tmp_path / "low"
-    changed = [f.message._replace(subsystem=20) if f.message.message_type == 80 else f.message for f in _jsf(whole)]
-    low.write_bytes(b"".join(map(jsf_wire, changed)))
-    found, expected = replayed(low, Config()), replayed(tmp_path / "high", Config())
+    whole = messages_of(tmp_path)
+    low = jsf_log(tmp_path, (each._replace(subsystem=20) if is_side_scan(each) else each for each in whole))
+    found, expected = replayed(low, Config()), replayed(tmp_path / "whole", Config())
     assert [bytes_of(contact) for contact in found] == [bytes_of(contact) for contact in expected]
 
 
 def test_data_with_the_command_byte_of_a_normal_source_are_no_replies(tmp_path: Path) -> None:
-    plain, marked = written("jsf", tmp_path / "plain"), tmp_path / "marked"
-    marked.write_bytes(b"".join(jsf_wire(f.message._replace(command=2)) for f in _jsf(plain.read_bytes())))
-    log, expected = open_log(marked, Config()), open_log(plain, Config())
+    marked = jsf_log(tmp_path, (each._replace(command=2) for each in messages_of(tmp_path)))
+    log, expected = open_log(marked, Config()), open_log(tmp_path / "whole", Config())
     assert [repr(event) for event in log] == [repr(event) for event in expected]
     assert log.counters == expected.counters
 
 
 def test_of_several_subsystems_the_highest_is_used_or_the_one_configured(tmp_path: Path) -> None:
-    whole = written("jsf", tmp_path / "high").read_bytes()
-    both = tmp_path / "both"
-    both.write_bytes(b"".join(of_subsystem(jsf_wire(f.message), 20) + jsf_wire(f.message) for f in _jsf(whole)))
+    parts: list[JsfMessage] = []
+    for message in messages_of(tmp_path):
+        parts += [message._replace(subsystem=20), message] if is_side_scan(message) else [message]
+    both = jsf_log(tmp_path, parts)
     events = list(open_log(both, Config()))
-    n_pings = len(pings(iter(open_log(tmp_path / "high", Config()))))
+    n_pings = len(pings(iter(open_log(tmp_path / "whole", Config()))))
     assert len(pings(iter(events))) == n_pings
     (notice,) = [event for event in events if isinstance(event, Notice)]
     assert notice.code == "reader.frequency_chosen"
@@ -89,14 +95,15 @@ def test_of_several_subsystems_the_highest_is_used_or_the_one_configured(tmp_pat
         log = open_log(both, Config(sonar=SonarConfig(subsystem=subsystem)))
         assert len(pings(iter(log))) == n_pings
         assert log.counters[f"reader.not_used.subsystem_{41 - subsystem}"] == 2 * n_pings
-    with pytest.raises(UsageError, match=r"sonar\.subsystem is 22, but .*both holds side scan of subsystem 20 and 21"):
+    with pytest.raises(UsageError, match=r"sonar\.subsystem is 22, but .*log holds side scan of subsystem 20 and 21"):
         open_log(both, Config(sonar=SonarConfig(subsystem=22)))
 
 
 def test_a_damaged_header_makes_no_second_subsystem(tmp_path: Path) -> None:
-    whole = bytearray(written("jsf", tmp_path / "whole").read_bytes())
-    first = next(framed for framed in _jsf(bytes(whole)) if framed.message.message_type == 80)
-    whole[first.offset + 7] ^= 1
+    messages = messages_of(tmp_path)
+    whole = bytearray((tmp_path / "whole").read_bytes())
+    offset = sum(len(jsf_wire(each)) for each in takewhile(lambda each: not is_side_scan(each), messages))
+    whole[offset + 7] ^= 1
     path = tmp_path / "flipped"
     path.write_bytes(whole)
     log = open_log(path, Config())
@@ -105,60 +112,46 @@ def test_a_damaged_header_makes_no_second_subsystem(tmp_path: Path) -> None:
 
 
 def test_a_jsf_log_without_side_scan_is_rejected_with_its_contents(tmp_path: Path) -> None:
-    whole = written("jsf", tmp_path / "high").read_bytes()
-    path = tmp_path / "sub-bottom"
-    path.write_bytes(of_subsystem(whole, 0))
+    path = jsf_log(tmp_path, (each._replace(subsystem=0) for each in messages_of(tmp_path) if is_side_scan(each)))
     with pytest.raises(
         BadInputError, match=r"holds no side-scan message.*of type 80 of subsystem 0.*side scan switched on"
     ):
         open_log(path, Config())
 
 
-def _packed(message: JsfMessage, **changes: int) -> bytes:
+def _packed(message: JsfMessage, **changes: int) -> JsfMessage:
     """Cut a message to a third and give it a data format of EdgeTech's own."""
     body = message.body[:34] + b"\x00\x01" + message.body[36 : 240 + (len(message.body) - 240) // 3]
-    return jsf_wire(message._replace(body=body, **changes))
+    return message._replace(body=body, **changes)
 
 
 def test_side_scan_in_a_data_format_that_is_not_read_is_refused_in_words(tmp_path: Path) -> None:
-    messages = [framed.message for framed in _jsf(written("jsf", tmp_path / "whole").read_bytes())]
-    path = tmp_path / "packed"
-    path.write_bytes(b"".join(_packed(message) for message in messages if message.message_type == 80))
+    path = jsf_log(tmp_path, map(_packed, filter(is_side_scan, messages_of(tmp_path))))
     with pytest.raises(BadInputError, match=r"of type 80 of subsystem 21 in data format 256\..*convert them with its"):
         open_log(path, Config())
 
 
 @pytest.mark.parametrize("subsystem", [0, 22])
 def test_what_is_recorded_in_another_data_format_beside_side_scan_is_no_damage(subsystem: int, tmp_path: Path) -> None:
-    plain = written("jsf", tmp_path / "plain")
-    path = tmp_path / "both"
-    path.write_bytes(
-        b"".join(
-            jsf_wire(f.message) + (_packed(f.message, subsystem=subsystem) if f.message.message_type == 80 else b"")
-            for f in _jsf(plain.read_bytes())
-        )
-    )
-    assert [repr(event) for event in open_log(path, Config())] == [repr(e) for e in open_log(plain, Config())]
+    parts: list[JsfMessage] = []
+    for message in messages_of(tmp_path):
+        parts += [message, _packed(message, subsystem=subsystem)] if is_side_scan(message) else [message]
+    log, plain = open_log(jsf_log(tmp_path, parts), Config()), open_log(tmp_path / "whole", Config())
+    assert [repr(event) for event in log] == [repr(event) for event in plain]
 
 
 def test_pitch_and_roll_of_the_motion_sensor_serve_where_nothing_else_gives_them(tmp_path: Path) -> None:
-    def motion(at_s: float) -> bytes:
+    def motion(at_s: float) -> JsfMessage:
         body = bytearray(44)
         body[:12] = jsf_time(stamp_at(at_s))
         struct.pack_into(
             "<hh6xHI", body, 24, round(3.0 / 180 * 32768), round(-5.0 / 180 * 32768), 12_345, 1 << 6 | 1 << 7 | 1 << 9
         )
-        return jsf_wire(JsfMessage(2020, bytes(body), subsystem=101))
+        return JsfMessage(2020, bytes(body), subsystem=101)
 
-    whole = written("jsf", tmp_path / "whole").read_bytes()
-    parts = []
-    for framed in _jsf(whole):
-        message = framed.message
-        if message.message_type == 80 or b"GGA" in message.body:
-            parts.append(jsf_wire(message))
+    parts = [each for each in messages_of(tmp_path) if is_side_scan(each) or b"GGA" in each.body]
     last_s = run_of("jsf").recorded[-1].stamp.utc_ns * 1e-9 - UTC_S
-    path = tmp_path / "log"
-    path.write_bytes(b"".join(parts) + b"".join(motion(last_s + 0.1 * n) for n in range(9)))
+    path = jsf_log(tmp_path, [*parts, *(motion(last_s + 0.1 * n) for n in range(9))])
     samples = [
         event for event in open_log(path, Config()) if isinstance(event, NavSample) and not math.isnan(event.roll_rad)
     ]
@@ -174,10 +167,8 @@ def test_pitch_and_roll_of_the_motion_sensor_serve_where_nothing_else_gives_them
 def test_each_bit_of_a_doppler_log_stands_for_its_own_quantity(tmp_path: Path, bit: int, given: str) -> None:
     numbers = (1 << bit, 812, 0, 0, 812, -300, 1600, 250, -480, 12_345)
     body = struct.pack("<12xI4i2h10x2hH20x", *numbers)
-    whole = written("jsf", tmp_path / "whole").read_bytes()
-    sides = b"".join(jsf_wire(f.message) for f in _jsf(whole) if f.message.message_type == 80)
-    path = tmp_path / "log"
-    path.write_bytes(sides + jsf_wire(JsfMessage(2080, body, subsystem=101)))
+    sides = filter(is_side_scan, messages_of(tmp_path))
+    path = jsf_log(tmp_path, [*sides, JsfMessage(2080, body, subsystem=101)])
     last = [event for event in JsfRecording(path, None, 1 << 16) if event.port == "doppler"][-1]
     (fix,) = NmeaUnit("doppler").feed(last.data, last.stamp) or [NavFix(source="", received=last.stamp)]
     found = {
@@ -198,59 +189,49 @@ def test_each_bit_of_a_doppler_log_stands_for_its_own_quantity(tmp_path: Path, b
 def test_the_sound_speed_of_a_sensor_scales_ranges_even_if_stated_once(
     tmp_path: Path, kind: int, body: bytes, once: bool
 ) -> None:
-    sensor = jsf_wire(JsfMessage(kind, body, subsystem=101))
+    sensor = JsfMessage(kind, body, subsystem=101)
     parts = [sensor]
-    for framed in _jsf(written("jsf", tmp_path / "whole").read_bytes()):
-        message, changed = framed.message, bytearray(framed.message.body)
-        if message.message_type == 80:
+    for message in messages_of(tmp_path):
+        changed = bytearray(message.body)
+        if is_side_scan(message):
             changed[31] &= ~(1 << 6)  # validity, bit 14: no sound speed
-        parts.append(jsf_wire(message._replace(body=bytes(changed))) + sensor * (not once))
-    path = tmp_path / "log"
-    path.write_bytes(b"".join(parts))
-    assert {ping.sound_speed_mps for ping in pings(iter(open_log(path, Config())))} == {1450.0}
+        parts += [message._replace(body=bytes(changed)), *[sensor] * (not once)]
+    log = open_log(jsf_log(tmp_path, parts), Config())
+    assert {ping.sound_speed_mps for ping in pings(iter(log))} == {1450.0}
 
 
 def test_a_sound_speed_that_is_called_valid_and_is_0_counts_as_none(tmp_path: Path) -> None:
-    parts = []
-    for framed in _jsf(written("jsf", tmp_path / "whole").read_bytes()):
-        body = bytearray(framed.message.body)
-        if framed.message.message_type == 80:
-            body[148:152] = bytes(4)
-        parts.append(jsf_wire(framed.message._replace(body=bytes(body))))
-    path = tmp_path / "log"
-    path.write_bytes(b"".join(parts))
-    notices = [event.code for event in open_log(path, Config()) if isinstance(event, Notice)]
+    parts = [
+        each._replace(body=each.body[:148] + bytes(4) + each.body[152:]) if is_side_scan(each) else each
+        for each in messages_of(tmp_path)
+    ]
+    notices = [event.code for event in open_log(jsf_log(tmp_path, parts), Config()) if isinstance(event, Notice)]
     assert notices == ["reader.sound_speed_assumed"]
 
 
 def test_a_frequency_above_655_khz_is_read_from_all_of_its_bits(tmp_path: Path) -> None:
     parts = []
-    for framed in _jsf(written("jsf", tmp_path / "whole").read_bytes()):
-        body = bytearray(framed.message.body)
-        if framed.message.message_type == 80:
+    for message in messages_of(tmp_path):
+        body = bytearray(message.body)
+        if is_side_scan(message):
             for at, shift, khz in ((126, 0, 1550), (128, 4, 1650)):
                 body[16] |= (khz * 100 >> 16) << shift
                 body[at : at + 2] = (khz * 100 & 0xFFFF).to_bytes(2, "little")
-        parts.append(jsf_wire(framed.message._replace(body=bytes(body))))
-    path = tmp_path / "log"
-    path.write_bytes(b"".join(parts))
-    assert JsfRecording(path, None, 1 << 16).frequency_khz == pytest.approx(1600.0)
+        parts.append(message._replace(body=bytes(body)))
+    assert JsfRecording(jsf_log(tmp_path, parts), None, 1 << 16).frequency_khz == pytest.approx(1600.0)
 
 
-def moved(framed: Any, by_s: float) -> bytes:
+def moved(message: JsfMessage, by_s: float) -> JsfMessage:
     """A message of a JSF log at another time."""
-    body = bytearray(framed.message.body)
-    (seconds,) = struct.unpack_from("<i", body)
-    struct.pack_into("<i", body, 0, seconds + round(by_s))
-    return jsf_wire(framed.message._replace(body=bytes(body)))
+    (seconds,) = struct.unpack_from("<i", message.body)
+    return message._replace(body=struct.pack("<i", seconds + round(by_s)) + message.body[4:])
 
 
 def test_a_clock_set_back_in_a_log_costs_no_ping(tmp_path: Path) -> None:
-    messages = _jsf(written("jsf", tmp_path / "whole").read_bytes())
+    messages = messages_of(tmp_path)
     middle = len(messages) // 2
-    path = tmp_path / "back"
-    path.write_bytes(b"".join(moved(framed, -3600.0 if n > middle else 0.0) for n, framed in enumerate(messages)))
-    log = open_log(path, Config())
+    parts = (moved(each, -3600.0 if n > middle else 0.0) for n, each in enumerate(messages))
+    log = open_log(jsf_log(tmp_path, parts), Config())
     events = list(log)
     n_pings = len(pings(iter(open_log(tmp_path / "whole", Config()))))
     found = pings(iter(events))
@@ -264,12 +245,8 @@ def test_a_clock_set_back_in_a_log_costs_no_ping(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("by_s", [-20.0, -3.0, 0.0, 3.0, 3600.0])
 def test_a_clock_of_navigation_that_is_off_that_of_the_pings_costs_no_position(tmp_path: Path, by_s: float) -> None:
-    whole = written("jsf", tmp_path / "whole").read_bytes()
-    path = tmp_path / "log"
-    path.write_bytes(
-        b"".join(moved(f, by_s) if f.message.message_type == 2002 else jsf_wire(f.message) for f in _jsf(whole))
-    )
-    log, pipeline = open_log(path, Config()), Pipeline(Config())
+    parts = (moved(each, by_s) if is_sentence(each) else each for each in messages_of(tmp_path))
+    log, pipeline = open_log(jsf_log(tmp_path, parts), Config()), Pipeline(Config())
     events = list(log)
     for event in events:
         pipeline.feed(event)
@@ -286,35 +263,30 @@ def test_a_clock_of_navigation_that_is_off_that_of_the_pings_costs_no_position(t
 
 
 def test_a_clock_of_navigation_that_is_off_stays_so_while_the_sonar_is_silent(tmp_path: Path) -> None:
-    whole = written("jsf", tmp_path / "whole").read_bytes()
+    messages = messages_of(tmp_path)
     parts = [
-        moved(f, -3.0) if f.message.message_type == 2002 else jsf_wire(f.message)
-        for f in _jsf(whole)
-        if f.message.message_type == 2002 or not 6.0 <= struct.unpack_from("<i", f.message.body)[0] - UTC_S < 13.0
+        moved(each, -3.0) if is_sentence(each) else each
+        for each in messages
+        if is_sentence(each) or not 6.0 <= struct.unpack_from("<i", each.body)[0] - UTC_S < 13.0
     ]
-    path = tmp_path / "log"
-    path.write_bytes(b"".join(parts))
-    log = open_log(path, Config())
+    log = open_log(jsf_log(tmp_path, parts), Config())
     assert len(pings(iter(log))) == 124
-    assert log.counters["reader.packet_time_doubted"] == sum(f.message.message_type == 2002 for f in _jsf(whole))
+    assert log.counters["reader.packet_time_doubted"] == sum(map(is_sentence, messages))
     assert log.counters["reader.time_backwards"] == log.counters["reader.time_outlier"] == 0
 
 
 def test_one_impossible_time_is_left_out(tmp_path: Path) -> None:
-    messages = _jsf(written("jsf", tmp_path / "whole").read_bytes())
-    at = next(n for n, framed in enumerate(messages) if n > 50 and framed.message.message_type == 80)
-    path = tmp_path / "log"
-    path.write_bytes(b"".join(moved(framed, 1e6 if n == at else 0.0) for n, framed in enumerate(messages)))
-    log = open_log(path, Config())
+    messages = messages_of(tmp_path)
+    at = next(n for n, message in enumerate(messages) if n > 50 and is_side_scan(message))
+    messages[at] = moved(messages[at], 1e6)
+    log = open_log(jsf_log(tmp_path, messages), Config())
     found = pings(iter(log))
     assert log.counters["reader.time_outlier"] == 1
     assert max(ping.time_s for ping in found) < UTC_S + 1000.0
 
 
 def test_a_clock_that_was_never_set_is_reported_and_the_log_is_read(tmp_path: Path) -> None:
-    messages = _jsf(written("jsf", tmp_path / "whole").read_bytes())
-    path = tmp_path / "log"
-    path.write_bytes(b"".join(jsf_wire(f.message._replace(body=bytes(4) + f.message.body[4:])) for f in messages))
+    path = jsf_log(tmp_path, (each._replace(body=bytes(4) + each.body[4:]) for each in messages_of(tmp_path)))
     events = list(open_mission([path], Config()).events())
     assert sum(isinstance(event, Ping) for event in events) > 100
     assert "reader.time_unknown" in {event.code for event in events if isinstance(event, Notice)}
@@ -322,13 +294,12 @@ def test_a_clock_that_was_never_set_is_reported_and_the_log_is_read(tmp_path: Pa
 
 def test_messages_are_put_in_order_of_time(tmp_path: Path) -> None:
     """Recorders write what came within a second in any order."""
-    messages = _jsf(written("jsf", tmp_path / "whole").read_bytes())
+    messages = messages_of(tmp_path)
     random = np.random.Generator(np.random.PCG64(3))
     place = np.arange(len(messages)) + random.uniform(0.0, 20.0, len(messages))
-    strings = np.array([framed.message.message_type == 2002 for framed in messages])
+    strings = np.array([is_sentence(message) for message in messages])
     place = np.where(strings, place, np.arange(len(messages)))  # sides of a ping stay together
-    path = tmp_path / "log"
-    path.write_bytes(b"".join(jsf_wire(messages[n].message) for n in np.argsort(place)))
+    path = jsf_log(tmp_path, (messages[n] for n in np.argsort(place)))
     found, expected = positions(path), positions(tmp_path / "whole")
     assert len(found) == 212
     assert found == expected

@@ -141,11 +141,6 @@ def test_quantities_not_measured_anew_keep_their_value(tmp_path: Path) -> None:
     assert math.isnan(samples[0].speed_mps)
 
 
-def test_a_missing_side_stays_missing(tmp_path: Path) -> None:
-    events, _ = read(written(tmp_path / "log.xtf", navigated([ping(0), ping(1, starboard=False)])))
-    assert [p.starboard is None for p in pings_of(events)] == [False, True]
-
-
 def test_a_first_range_beyond_half_a_sample_is_kept(tmp_path: Path) -> None:
     far = EchoTrace(samples=np.arange(50, dtype=np.uint16), first_range_m=4.0, spacing_m=0.1)
     sent = Ping(number=0, time_s=START_S, port=far, starboard=None, sound_speed_mps=1480.0)
