@@ -66,7 +66,6 @@ NO_LOCK = GROUP.replace(b",A\r", b",V\r")
 WRZ = b"wrz,0.120,-0.400,2.000,y,1.30,1.855,1e-07;0;1.4;0;1.2;0;0.2;0;1e+09,7,14,123.00,1*50\r\n"
 WRU = b"wru,0,0.070,1.10,-40,-95*9c\r\n"
 PD6_LINES = GROUP.splitlines(keepends=True)
-WL_LINES = [WRZ, WRU, wl.message_of(wl.WaterLinkedAttitude(1.7e9, 1.0, 2.0, 3.0, 0.1, 0.1, -0.2, 3.0, 0))]
 
 
 def close(one: Any, other: Any, within: float) -> bool:

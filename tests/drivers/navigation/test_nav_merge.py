@@ -35,8 +35,6 @@ from tests.drivers.navigation.merged_units import (
 )
 from tests.drivers.navigation.nav_damage import T0, at
 
-LAST = 1e4
-
 
 def test_readings_are_in_the_order_of_the_quantities() -> None:
     assert Readings._fields == QUANTITIES

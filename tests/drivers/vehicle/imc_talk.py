@@ -70,14 +70,19 @@ class Talk:
         data = b"".join(packed(message, source, to=to, time_s=time_s) for message in messages)
         return self.dialect.hear(data, stamp_at(self.now_s))
 
-    def take_over(self) -> int:
-        """Until the grant; returns the number of the request."""
-        self.hear(self.plans)
+    def ask(self) -> int:
+        """Ask for control; returns the number of the request."""
         self.dialect.request(self.now_s)
         (start,) = self.sent_of(imc.PlanControl)
-        assert self.hear(succeeded(start.request_id)) == []
-        assert [type(event) for event in self.hear(follow_state())] == [Granted]
+        assert start.op == PlanOp.START
         return int(start.request_id)
+
+    def take_over(self) -> None:
+        """Ask for control and get it."""
+        self.hear(self.plans)
+        number = self.ask()
+        assert self.hear(succeeded(number)) == []
+        assert [type(event) for event in self.hear(follow_state())] == [Granted]
 
 
 def stamp_at(now_s: float) -> Stamp:

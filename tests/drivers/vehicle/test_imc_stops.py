@@ -191,8 +191,7 @@ def test_a_vehicle_that_follows_another_payload_is_not_started_until_that_one_is
 
 def test_a_vehicle_that_another_payload_takes_while_it_is_asked_is_left_to_it() -> None:
     talk = Talk()
-    talk.dialect.request(talk.now_s)
-    assert [control.op for control in talk.sent_of(imc.PlanControl)] == [PlanOp.START]
+    talk.ask()
     (event,) = talk.hear(imc.PlanControl(PlanType.SUCCESS, PlanOp.START, 1, PLAN_ID), follow_state(of=OTHER))
     assert isinstance(event, Withheld)
     talk.dialect.command(GOAL, talk.now_s)

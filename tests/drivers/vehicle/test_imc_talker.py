@@ -83,9 +83,7 @@ def test_take_over_flight_and_return() -> None:
 @pytest.mark.parametrize("first", ["answer", "state"])
 def test_the_grant_takes_the_answer_and_the_manoeuvre(first: str) -> None:
     talk = Talk()
-    talk.dialect.request(talk.now_s)
-    (start,) = talk.sent_of(imc.PlanControl)
-    both = (succeeded(start.request_id), follow_state())
+    both = (succeeded(talk.ask()), follow_state())
     events = talk.hear(*(both if first == "answer" else both[::-1]))
     assert [type(event) for event in events] == [Granted]
 
@@ -104,8 +102,7 @@ def test_the_grant_takes_the_answer_and_the_manoeuvre(first: str) -> None:
 )
 def test_less_is_no_grant(messages: list[ImcMessage]) -> None:
     talk = Talk()
-    talk.dialect.request(talk.now_s)
-    assert [start.request_id for start in talk.sent_of(imc.PlanControl)] == [1]
+    assert talk.ask() == 1
     assert Granted not in map(type, talk.hear(*messages))
     talk.dialect.command(GOAL, talk.now_s)
     assert talk.sent_of(imc.Reference, 1.0) == []
@@ -114,8 +111,7 @@ def test_less_is_no_grant(messages: list[ImcMessage]) -> None:
 
 def test_answers_of_others_and_to_others_do_not_count() -> None:
     talk = Talk()
-    talk.dialect.request(talk.now_s)
-    talk.sent()
+    talk.ask()
     assert talk.hear(succeeded(1), follow_state(), source=OTHER) == []
     assert talk.hear(succeeded(1), follow_state(), source=US) == []
     assert talk.dialect.counters["imc.other_source"] == 4
@@ -125,11 +121,10 @@ def test_answers_of_others_and_to_others_do_not_count() -> None:
 
 def test_the_answer_of_dune_with_the_statistics_of_the_plan_counts() -> None:
     talk = Talk()
-    talk.dialect.request(talk.now_s)
-    (start,) = talk.sent_of(imc.PlanControl)
+    request_id = talk.ask()
     name, info = b"\7\0auv_mcm", b"\x0b\0plan loaded"
     statistics = b"\x34\2" + name + b"\0\4" + b"\x09\0Total=120" + 3 * b"\0\0"  # message 564
-    payload = b"\1\0" + start.request_id.to_bytes(2, "little") + name + b"\0\0" + statistics + info
+    payload = b"\1\0" + request_id.to_bytes(2, "little") + name + b"\0\0" + statistics + info
     packet = ImcPacket(559, payload, VEHICLE, destination=US, time_s=UTC_S + 3600.0 + talk.now_s)
     assert talk.dialect.hear(to_wire(packet), stamp_at(talk.now_s)) == []
     assert [type(event) for event in talk.hear(follow_state())] == [Granted]
@@ -148,8 +143,7 @@ def test_a_request_is_sent_again_but_not_for_ever() -> None:
 
 def test_a_vehicle_that_calibrates_first_is_waited_for() -> None:
     talk = Talk()
-    talk.dialect.request(talk.now_s)
-    talk.sent()
+    talk.ask()
     assert talk.hear(imc.PlanControl(PlanType.IN_PROGRESS, PlanOp.START, 1, PLAN_ID)) == [Considered()]
     assert talk.sent_of(imc.PlanControl, 8.0) == []
     assert [type(event) for event in talk.hear(succeeded(1), follow_state())] == [Granted]
@@ -243,8 +237,7 @@ def test_after_a_release_the_plan_is_stopped_only_if_it_goes_on() -> None:
 
 def test_a_request_can_be_withdrawn() -> None:
     talk = Talk()
-    talk.dialect.request(talk.now_s)
-    talk.sent()
+    talk.ask()
     talk.dialect.release("plan withdrawn", talk.now_s)
     assert talk.sent_of(imc.PlanControl, 5.0) == [], (
         "the vehicle may never have heard of it, and STOP would stop its own"
@@ -369,9 +362,7 @@ def test_whatever_was_heard_the_next_request_can_be_granted(steps: list[tuple[fl
     for plan in ("further", "survey"):  # which an Abort, or a plan that it was sent on, may have to wait for
         talk.hear(imc.PlanControlState(PlanState.EXECUTING, plan))
     talk.sent()
-    talk.dialect.request(talk.now_s)
-    (start,) = [message for message in talk.sent_of(imc.PlanControl) if message.op == PlanOp.START]
-    assert [type(event) for event in talk.hear(succeeded(start.request_id), follow_state())] == [Granted]
+    assert [type(event) for event in talk.hear(succeeded(talk.ask()), follow_state())] == [Granted]
 
 
 @given(chunks=st.lists(st.binary(max_size=80), max_size=8))
@@ -384,27 +375,20 @@ def test_any_bytes_are_refused_without_a_word(chunks: list[bytes]) -> None:
 def test_a_grant_recorded_earlier_is_not_accepted() -> None:
     talk = Talk()
     talk.hear(estimated(41.18, -8.7))
-    talk.dialect.request(talk.now_s)
-    (start,) = talk.sent_of(imc.PlanControl)
-    events = talk.hear(
-        succeeded(start.request_id), follow_state(), age_s=86_400.0
-    )  # of a run in which the number was the same
+    answers = succeeded(talk.ask()), follow_state()
+    events = talk.hear(*answers, age_s=86_400.0)  # of a run in which the number was the same
     assert [type(event) for event in events] == [Doubted, Doubted]
     assert "the vehicle's other messages" in events[0].reason  # type: ignore[union-attr]  # which is what it is
     assert talk.dialect.counters["imc.refused.stale"] == 2
     talk.dialect.command(GOAL, talk.now_s)
     assert talk.dialect.counters["imc.commands_unsaid"] == 1
-    assert [type(event) for event in talk.hear(succeeded(start.request_id), follow_state())] == [Granted], (
-        "the vehicle's own is"
-    )
+    assert [type(event) for event in talk.hear(*answers)] == [Granted], "the vehicle's own is"
 
 
 def test_an_answer_from_before_the_request_is_not_accepted() -> None:
     talk = Talk()
     talk.hear(estimated(41.18, -8.7))
-    talk.dialect.request(talk.now_s)
-    (start,) = talk.sent_of(imc.PlanControl)
-    (event,) = talk.hear(succeeded(start.request_id), age_s=0.8)
+    (event,) = talk.hear(succeeded(talk.ask()), age_s=0.8)
     assert isinstance(event, Doubted)
     assert "before that of the request" in event.reason
 
@@ -440,7 +424,6 @@ def test_the_first_request_of_a_run_has_a_number_that_nobody_can_foresee(drawn: 
     talk.hear(talk.plans)
     numbers = []
     for _ in range(2):
-        talk.dialect.request(talk.now_s)
-        numbers += [start.request_id for start in talk.sent_of(imc.PlanControl)]
+        numbers.append(talk.ask())
         talk.dialect.release("done", talk.now_s)
     assert numbers == [drawn + 1, (drawn + 1) % 0xFFFF + 1]

@@ -34,7 +34,6 @@ PAIRS: dict[str, tuple[Callable[[], Conversation], Callable[[], Any]]] = {
     "imc": (lambda: Conversation(ImcSettings(acknowledges=True)), FakeImc),
 }
 COMMANDS = (b"$BPRMB", b"$OMS,", b"#C,")
-CALLS = ("connected", "disconnected", "request", "request", "command", "command", "release", "report", "report_health")
 STEER = Steer(math.radians(123.0), Vertical("depth", 7.5), 1.5)
 POSE = nav_of(
     UTC_S,

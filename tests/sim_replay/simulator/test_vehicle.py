@@ -31,7 +31,6 @@ DEPTH_M = 20.0
 LAWNMOWER = Lawnmower(heading_deg=35.0, n_legs=3, leg_m=60.0, spacing_m=20.0, start_east_m=7.0, start_north_m=-3.0)
 CORNERS = Waypoints(points_m=((0.0, 0.0), (60.0, 0.0), (10.0, 15.0), (10.0, 60.0), (14.0, 90.0)))
 TRACK = Track(plan=LAWNMOWER, start_time_s=0.0, motion=STEADY)
-CURRENT = structs.replace(STEADY, current_mps=0.5, current_towards_deg=80.0)
 
 
 def flat(east_m: float, north_m: float) -> float:

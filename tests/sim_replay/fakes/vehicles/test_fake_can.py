@@ -33,7 +33,6 @@ from tests.sim_replay.conversation import Conversation
 PAYLOAD: Final = 96
 STEP_S: Final = 0.1
 PLACE = GoTo(54.0001, 10.0002, Vertical("altitude", 5.0), 1.5, 3.0)
-COURSE = Steer(1.25, Vertical("depth", 12.0), 1.5)
 HERE = {"latitude_deg": 54.0, "longitude_deg": 10.0, "depth_m": 7.0}
 POSE = nav_of(1_700_000_000.0, **HERE, heading_rad=-0.5, pitch_rad=0.05, roll_rad=-0.1)
 REPORT = report_of(number=1, p_mine=0.9, latitude_deg=54.0, longitude_deg=10.0)

@@ -27,7 +27,6 @@ from tests.sim_replay.conversation import Conversation
 US, OTHER = 0x6000, 0x2F
 UTC_S = 1_700_000_000.0
 FRAME = LocalFrame(latitude_deg=41.185, longitude_deg=-8.706)
-SPEED_MPS = 20.0
 
 
 def pose_at(east_m: float, north_m: float, now_s: float) -> NavSample:
