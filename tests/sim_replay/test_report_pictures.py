@@ -12,11 +12,12 @@ import pytest
 
 from auv_mcm.contacts.contact_picture import COLOURS, display_levels, snippet_picture, snippet_png
 from auv_mcm.geometry.geodesy import LocalFrame
-from auv_mcm.records import LOW_RESOLUTION, NAN, TURN, VALID, CoveragePatch, Side
+from auv_mcm.records import LOW_RESOLUTION, NAN, TURN, VALID, Side
 from auv_mcm.snippet import pack_snippet
 from sim_replay.report import PictureCollector, Shown, render_report
 from sim_replay.report.chart import WIDTH, draw_chart
 from sim_replay.report.report_words import explained_counters, is_loss
+from tests.make.records import patch_of
 from tests.sim_replay.report_samples import ROW_M, START_S, Page, collected, contact, decoded, detection, mission, tile
 
 
@@ -186,15 +187,7 @@ def test_the_map_is_true_to_scale_anywhere(latitude: float, longitude: float) ->
     frame = LocalFrame(latitude_deg=latitude, longitude_deg=longitude)
     east_north = np.array([[-200.0, -100.0], [200.0, -100.0], [200.0, 150.0], [-200.0, 150.0], [-200.0, -100.0]])
     latitudes, longitudes, _ = frame.to_geodetic(np.column_stack([east_north, np.zeros(5)]))
-    ring = CoveragePatch(
-        side="port",
-        tile_index=0,
-        start_s=0.0,
-        stop_s=1.0,
-        rings_deg=(np.column_stack([longitudes, latitudes]),),
-        covered_m2=1.0,
-        lost_m2={},
-    )
+    ring = patch_of(rings_deg=(np.column_stack([longitudes, latitudes]),), covered_m2=1.0)
     there = contact(
         latitude_deg=float(latitudes[1]), longitude_deg=float(longitudes[1]), covariance_m2=np.eye(2) * 100.0
     )

@@ -18,13 +18,13 @@ import pytest
 from auv_mcm.cli import main
 from auv_mcm.contacts.geojson import Json, collection, feature
 from auv_mcm.errors import HardwareError
-from auv_mcm.records import CoveragePatch
 from sim_replay.geopackage import write_geopackage
 from sim_replay.mosaic import Box
 from sim_replay.qgis import write_project
 from sim_replay.report import PictureCollector, Shown
 from sim_replay.report.report_file import report_contents, write_contents
 from sim_replay.vector_layers import read_layers, write_gpx
+from tests.make.records import patch_of
 from tests.make.results import write_results
 from tests.sim_replay.report_samples import contact, mission, waypoints
 
@@ -36,9 +36,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder as a replay leaves it, of made-up records."""
     folder = tmp_path_factory.mktemp("results")
     ring = np.array([(12.0, 55.0), (12.001, 55.0), (12.001, 55.001), (12.0, 55.0)])
-    patch = CoveragePatch(
-        side="port", tile_index=0, start_s=0.0, stop_s=1.0, rings_deg=(ring, ring + 0.01), covered_m2=1.0, lost_m2={}
-    )
+    patch = patch_of(rings_deg=(ring, ring + 0.01), covered_m2=1.0)
     contacts = [
         contact("C00001"),
         contact("C00002", 0.1),

@@ -221,9 +221,7 @@ def test_the_surest_look_shows_the_sea_floor() -> None:
 
 def test_nothing_seen_is_no_map_and_empty_patches_add_nothing() -> None:
     searched = ClearanceMap(Model())
-    searched.add(
-        CoveragePatch(side="port", tile_index=0, start_s=0.0, stop_s=1.0, rings_deg=(), covered_m2=0.0, lost_m2={})
-    )
+    searched.add(patch_of())
     assert searched.snapshot() is None
 
 

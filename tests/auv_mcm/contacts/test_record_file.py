@@ -19,6 +19,7 @@ from auv_mcm.contacts.record_file import RecordFile, RecordPlace, record_decoder
 from auv_mcm.records import NAN, Contact, CoveragePatch, Detection
 from tests.auv_mcm.classify import drawn_looks
 from tests.auv_mcm.contacts.temporary_records import temporary_record_file
+from tests.make.records import patch_of
 
 CONTACT = record_decoder(Contact)
 PWRITE = "auv_mcm.contacts.record_file.os.pwrite"
@@ -87,9 +88,7 @@ def test_numbers_and_arrays_come_back_to_the_bit_and_with_their_kind(records: Re
 
 def test_a_patch_keeps_its_rings(records: RecordFile) -> None:
     ring = np.array([[5.0, 43.0], [5.1, 43.0], [5.0, 43.1], [5.0, 43.0]])
-    patch = CoveragePatch(
-        side="port", tile_index=3, start_s=1.0, stop_s=2.0, rings_deg=(ring,), covered_m2=9.5, lost_m2={"turn": 0.5}
-    )
+    patch = patch_of(rings_deg=(ring,), covered_m2=9.5, lost_m2={"turn": 0.5})
     back = records.read(taken(records.append(patch)), record_decoder(CoveragePatch))
     assert [ring.tolist() for ring in back.rings_deg] == [ring.tolist()]
     assert (back.side, back.lost_m2) == ("port", {"turn": 0.5})

@@ -192,9 +192,7 @@ class _EasyFlat(EvenLook):
 
 
 def drawn_patch(side: Side, start_s: float, stop_s: float, cells: SurveyedCells | None) -> CoveragePatch:
-    return CoveragePatch(
-        side=side, tile_index=0, start_s=start_s, stop_s=stop_s, rings_deg=(), covered_m2=0.0, lost_m2={}, cells=cells
-    )
+    return patch_of(side=side, start_s=start_s, stop_s=stop_s, cells=cells)
 
 
 def assert_inside(mission: Mission, proposal: Proposal) -> None:

@@ -17,7 +17,6 @@ import pytest
 from auv_mcm.cli import main
 from auv_mcm.errors import BadInputError, HardwareError, UsageError
 from auv_mcm.program import program
-from auv_mcm.records import CoveragePatch
 from auv_mcm.settings.config import Config, ConfirmConfig, ContactsConfig
 from sim_replay.batch import missions as batch_missions
 from sim_replay.batch.index import write_index
@@ -30,6 +29,7 @@ from sim_replay.results_folder import is_replayed, kept_alone
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene import Lawnmower, Scene, SceneObject, Sonar, Track
 from tests.dask_cluster import dask_cluster
+from tests.make.records import patch_of
 from tests.make.results import write_results
 
 SPHERE = SceneObject(kind="sphere", leg=0, along_m=6.0, across_m=10.0)
@@ -142,9 +142,7 @@ def test_an_archive_at_the_antimeridian_and_of_names_that_are_no_text_is_indexed
     for number, (west, east) in enumerate([(179.999, 180.001), (-180.003, -180.002)]):
         log = ArchivedLog(tmp_path, os.fsdecode(b"\xe9%d.xtf" % number))
         ring = np.array([(west, -17.0), (east, -17.0), (east, -16.999), (west, -17.0)])
-        patch = CoveragePatch(
-            side="port", tile_index=0, start_s=9.0, stop_s=9.0, rings_deg=(ring,), covered_m2=1.0, lost_m2={}
-        )
+        patch = patch_of(rings_deg=(ring,), covered_m2=1.0)
         (folder := tmp_path / MISSIONS / log.name).mkdir(parents=True)
         write_results(folder, [], [patch], [], "")
         figures = {"pings": 1, "covered_km2": 0.1, "contacts": 0, "contacts_called": 0}
