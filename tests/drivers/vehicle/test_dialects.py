@@ -39,6 +39,7 @@ from tests.drivers.vehicle.vehicle_loop import (
     in_control,
     play,
     stamp_at,
+    take_over,
 )
 
 BLUEFIN_LINES = [
@@ -95,6 +96,12 @@ def test_no_order_of_events_raises_or_makes_a_command_leave_without_control(name
     dialect = PAIRS[name][0]()
     sent, _ = play(dialect, data.draw(dialogues(LINES[name])))
     assert all(granted for granted, line in sent if line.startswith(COMMANDS))
+
+
+@every_dialect
+def test_the_orders_of_events_do_see_commands(name: str) -> None:
+    sent, _ = play(PAIRS[name][0](), [*take_over(LINES[name]), ("command", None)])
+    assert {granted for granted, line in sent if line.startswith(COMMANDS)} == {True}
 
 
 @every_dialect

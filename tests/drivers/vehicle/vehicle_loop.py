@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from auv_mcm.clock import Stamp
 from auv_mcm.settings.vehicle_settings import BluefinSettings, CanSettings, ImcSettings, IverSettings, ReconSettings
+from drivers.navigation.nmea0183 import sentence
 from drivers.vehicle.dialect import GoTo, Granted, PayloadHealth, Steer, VehicleEvent, Vertical, Withheld
 from sim_replay.fakes.vehicles.bluefin import FakeBluefin
 from sim_replay.fakes.vehicles.can import FakeCan
@@ -138,15 +139,25 @@ def in_control(name: str) -> Loop:
     return loop
 
 
+def take_over(lines: list[bytes]) -> list[tuple[str, Any]]:
+    """Return the steps to a grant: the vehicle's first two lines say that it lets the payload command."""
+    steps: list[tuple[str, Any]] = [("connected", None), ("hear", lines[0]), ("request", None), ("hear", lines[1])]
+    return [*steps, *[("answer", None)] * 10]
+
+
+def _answer(line: bytes) -> bytes:
+    """Return how a Bluefin says that it takes a sentence."""
+    name, of, *_ = line[1:].split(b"*")[0].decode().split(",")
+    return sentence(f"BFACK,101010.000,{name[2:]},{'' if name == 'BPLOG' else of},0,2,,")
+
+
 @st.composite
 def dialogues(draw: st.DrawFn, lines: list[bytes]) -> list[tuple[str, Any]]:
     """What may happen to a dialect, in any order: calls, lines of the vehicle and its own, damaged or not, noise, and
     time."""
-    steps: list[tuple[str, Any]] = (
-        [("connected", None), ("hear", lines[0]), ("request", None)] if draw(st.booleans()) else []
-    )
+    steps = take_over(lines) if draw(st.booleans()) else []
     for _ in range(draw(st.integers(1, 40))):
-        kind = draw(st.sampled_from(["line", "line", "line", "damaged", "noise", "wait", "call", "call"]))
+        kind = draw(st.sampled_from(["line", "line", "line", "damaged", "noise", "wait", "call", "call", "answer"]))
         if kind in ("line", "damaged"):
             line = draw(st.sampled_from(lines))
             if kind == "damaged":
@@ -155,6 +166,8 @@ def dialogues(draw: st.DrawFn, lines: list[bytes]) -> list[tuple[str, Any]]:
             steps.append(("hear", line))
         elif kind == "noise":
             steps.append(("hear", draw(st.binary(max_size=30))))
+        elif kind == "answer":
+            steps.append((kind, None))
         elif kind == "wait":
             steps.append(("wait", draw(st.sampled_from([0.1, 1.0, 4.0, 6.0, 30.0]))))
         else:
@@ -184,6 +197,8 @@ def play(dialect: Conversation, steps: list[tuple[str, Any]]) -> tuple[list[tupl
                 now_s += value
             case "hear":
                 heard = dialect.hear(value, stamp_at(now_s))
+            case "answer" if sent and sent[-1][1].startswith(b"$BP"):
+                heard = dialect.hear(_answer(sent[-1][1]), stamp_at(now_s))
             case "connected" | "request":
                 getattr(dialect, kind)(now_s)
             case "disconnected":

@@ -8,6 +8,7 @@ import pytest
 from auv_mcm.contacts.background import BIN_NATS, KNOTS_NATS, LEVELS_NATS, interpolation, parse_background
 from auv_mcm.errors import UsageError
 from sim_replay.fitting.fit_background import (
+    ASKED_PER_KM2,
     SortedContacts,
     background_tasks,
     fit_prior,
@@ -57,7 +58,7 @@ def test_a_scene_is_judged_by_what_the_others_give() -> None:
         others = [mission for mission in missions if mission.scene != one.scene]
         assert one.prior == fit_prior(others)
         assert one.reached == tuple(judged(own, point.asked_per_km2) for point in one.reached)
-        assert all(point.n_targets == 66 for point in one.reached)
+        assert [point.n_targets for point in one.reached] == [66] * len(ASKED_PER_KM2)
     assert left_out([drawn_mission(seed) for seed in range(3)]) == ()
 
 
