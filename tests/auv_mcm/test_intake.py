@@ -17,6 +17,7 @@ from auv_mcm.frozen_state import freeze
 from auv_mcm.intake import BLOCK_PINGS, Intake, PingBlock, SegmentEnd
 from auv_mcm.records import EchoTrace, NavSample, Notice, Ping, PoseTrack
 from auv_mcm.settings.config import Config
+from tests.make.records import nav_of
 
 START_S = 1.7e9
 PING_S, NAV_S = 0.1, 0.2
@@ -33,14 +34,11 @@ def ping(number: int, time_s: float | None = None, trace: EchoTrace | None = TRA
 
 def navigation(index: int, shift_s: float = 0.0) -> NavSample:
     since_s = NAV_S * index
-    return NavSample(
-        time_s=START_S + since_s + shift_s,
+    return nav_of(
+        START_S + since_s + shift_s,
         latitude_deg=43.0 + 1.8e-5 * since_s,
-        longitude_deg=5.0,
         heading_rad=0.1 + 0.01 * since_s,
         pitch_rad=0.002 * since_s + 0.01 * max(since_s - 12.0, 0.0) ** 2,
-        roll_rad=0.0,
-        depth_m=10.0,
         altitude_m=0.5,
         speed_mps=2.0,
     )

@@ -31,28 +31,21 @@ from drivers.vehicle.can_translation import (
     text_message,
     text_of,
 )
-from drivers.vehicle.dialect import Command, ContactReport, GoTo, Steer, Vertical
+from drivers.vehicle.dialect import Command, GoTo, Steer, Vertical
 from drivers.vehicle.talkers.can_talker import CanTalker
+from tests.drivers.vehicle import vehicle_loop
 from tests.drivers.vehicle.can_traffic import records
 
 DBC = Path(__file__).parents[3] / "deploy" / "auv_mcm.dbc"
 ADDRESS = {"payload": CanSettings().payload_address, "vehicle": CanSettings().vehicle_address}
-REPORT = ContactReport(
+REPORT = msgspec.structs.replace(
+    vehicle_loop.REPORT,
     session=0x1_1234_5678,
-    number=17,
-    revision=2,
-    time_s=1_700_000_000.125,
     latitude_deg=54.1234567,
     longitude_deg=-10.7654321,
-    sigma_m=1.25,
-    p_mine=0.875,
-    classification="truncated_cone",
     belief={"truncated_cone": 0.75, "clutter": 0.125, "unknown": 0.125},
-    n_views=2,
-    depth_m=18.5,
-    length_m=0.98,
-    height_m=0.47,
-    height_sigma_m=0.05,
+    width_m=NAN,
+    width_sigma_m=NAN,
 )
 
 

@@ -15,6 +15,7 @@ from auv_mcm.records import EchoTrace, NavSample, Notice, Ping, SourceEvent
 from auv_mcm.settings.config import SonarConfig
 from sim_replay.logs.xtf import XtfLog
 from sim_replay.logs.xtf_writer import SampleType, write_xtf
+from tests.make.records import nav_of
 
 FILE_HEADER = 1024
 START_S = 1_700_000_000.0
@@ -47,8 +48,8 @@ def ping(
 
 
 def navigation(number: int, *, time_s: float | None = None) -> NavSample:
-    return NavSample(
-        time_s=START_S + 0.1 * number if time_s is None else time_s,
+    return nav_of(
+        START_S + 0.1 * number if time_s is None else time_s,
         latitude_deg=43.0 + 1e-6 * number,
         longitude_deg=5.5 - 2e-6 * number,
         heading_rad=math.radians(30.0 + 0.25 * number),
@@ -56,7 +57,6 @@ def navigation(number: int, *, time_s: float | None = None) -> NavSample:
         roll_rad=math.radians(1.25),
         depth_m=17.0,
         altitude_m=3.0,
-        speed_mps=1.5,
     )
 
 
