@@ -20,7 +20,7 @@ from auv_mcm.errors import UsageError
 from auv_mcm.records import SIDES, Side
 from auv_mcm.settings.strict_yaml import explain_validation_error, load_mapping, read_text
 from sim_replay.augment.track import PingTrack
-from sim_replay.simulator.objects import USUAL, PlacedObject, solid_sizes
+from sim_replay.simulator.objects import BY_WIDTH, USUAL, PlacedObject, solid_sizes
 from sim_replay.simulator.scene import TARGET_KINDS
 from sim_replay.simulator.scene_file import HIGHEST_SHARE
 
@@ -149,6 +149,14 @@ def _contradictions(spec: TargetSpec) -> Iterator[str]:
             limits = getattr(group, name)
             if limits is not None and limits[0] > limits[1]:
                 yield f"`scatter[{index}].{name}` is [{limits[0]:g}, {limits[1]:g}]; the lowest comes first"
+    groups: list[tuple[str, EmbeddedTarget | ScatteredTargets, tuple[EmbeddedKind, ...]]] = [
+        *((f"targets[{k}]", target, (target.kind,)) for k, target in enumerate(spec.targets)),
+        *((f"scatter[{k}]", group, group.kinds) for k, group in enumerate(spec.scatter)),
+    ]
+    for where, sized, kinds in groups:
+        for name in ("length_m", "height_m"):
+            if getattr(sized, name) is not None and all(name in BY_WIDTH.get(kind, ()) for kind in kinds):
+                yield f"`{where}.{name}` changes nothing: it goes by the diameter. Give that as `width_m`"
 
 
 # --- places ---

@@ -52,6 +52,14 @@ USUAL: Final[dict[ObjectKind, Usual]] = {
     "fish_school": Usual(4.0, 2.5, 1.2, n_members=150, strength_db=-42.0),
     "point": Usual(0.0, 0.0, 0.0, strength_db=-15.0),
 }
+BY_WIDTH: Final[dict[ObjectKind, tuple[str, ...]]] = {
+    "cylinder": ("height_m",),
+    "pipe": ("height_m",),
+    "sphere": ("length_m", "height_m"),
+    "truncated_cone": ("length_m",),
+    "tyre": ("length_m",),
+}
+"""Sizes of a kind that equal its width, the diameter."""
 _SPECULAR_EXPONENT: Final = 40.0  # of the cosine: how narrow the glint of a smooth surface is
 
 
@@ -133,13 +141,12 @@ def solid_sizes(
     """Return length, width and height of a kind; missing ones are usual, those that its shape couples are equal."""
     usual = USUAL[kind]
     width = usual.width_m if width_m is None else width_m
-    length = usual.length_m if length_m is None else length_m
-    height = usual.height_m if height_m is None else height_m
-    if kind in ("sphere", "truncated_cone", "tyre"):
-        length = width
-    if kind in ("sphere", "cylinder", "pipe"):
-        height = width
-    return {"length_m": length, "width_m": width, "height_m": height}
+    sizes = {
+        "length_m": usual.length_m if length_m is None else length_m,
+        "width_m": width,
+        "height_m": usual.height_m if height_m is None else height_m,
+    }
+    return sizes | dict.fromkeys(BY_WIDTH.get(kind, ()), width)
 
 
 def _scattered(

@@ -23,19 +23,13 @@ from auv_mcm.settings.strict_yaml import explain_validation_error, load_mapping,
 from sim_replay.fitting.cascade.tiles import Split
 from sim_replay.missions import FIRST_SEED, config_for
 from sim_replay.simulator import scene as limits
-from sim_replay.simulator.objects import USUAL
+from sim_replay.simulator.objects import BY_WIDTH, USUAL
 from sim_replay.simulator.plan import swath_m
 from sim_replay.simulator.scene import EXACT, TARGET_KINDS, Scatter, Scene, SeabedType, SizeRange, Sonar, TargetKind
 from sim_replay.simulator.scene_file import check_scene, read_scene
 
 _STREAM: Final = 0x53504543  # keeps these random numbers apart from others of the same seed
 _EDGE: Final = 0.95  # of the swath: targets are put no farther out
-_BY_WIDTH: Final[dict[TargetKind, tuple[str, ...]]] = {
-    "cylinder": ("height_m",),
-    "sphere": ("length_m", "height_m"),
-    "truncated_cone": ("length_m",),
-}
-"""Sizes of a kind that its diameter gives, as the simulator draws it."""
 _DEFAULT: Final = resources.files("sim_replay.fitting.cascade") / "default.yaml"
 
 _Factor = Annotated[float, Meta(ge=0.1, le=10.0)]
@@ -347,7 +341,7 @@ def _contradictions(spec: Spec) -> Iterator[str]:
                     "judged by"
                 )
     for kind, wanted in spec.targets.kinds.items():
-        for name in _BY_WIDTH.get(kind, ()):
+        for name in BY_WIDTH.get(kind, ()):
             if getattr(wanted, name) is not None:
                 yield f"`targets.kinds.{kind}.{name}` changes nothing: it goes by the diameter. Give that as `width_m`"
     low, high = spec.altitude_factor

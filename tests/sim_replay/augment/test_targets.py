@@ -42,6 +42,11 @@ def placed(text: str, track: PingTrack) -> tuple[Placement, ...]:
             "scatter: [{kinds: [box], count: 3, burial_m: [0.2, 0.1]}]",
             "`scatter[0].burial_m` is [0.2, 0.1]; the lowest comes first",
         ),
+        (
+            "targets: [{kind: sphere, side: port, ping: 3, ground_range_m: 5, length_m: 2}]",
+            "`targets[0].length_m` changes nothing: it goes by the diameter. Give that as `width_m`",
+        ),
+        ("scatter: [{kinds: [cylinder, sphere], count: 3, height_m: [1, 2]}]", "`scatter[0].height_m` changes nothing"),
         ("seed: 1\nseed: 2", "given twice"),
         ("[1, 2]", "got list"),
     ],
