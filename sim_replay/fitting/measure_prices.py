@@ -15,8 +15,9 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import msgspec
 
 from auv_mcm.budget import HYPOTHESES_PER_LOOK, MOVES_PER_LOOK, Allowance, look_price_us
+from auv_mcm.chain_models import ChainModels, read_models
 from auv_mcm.classify.fit import SOLIDS, Effort
-from auv_mcm.classify.odds import MineOdds, shipped_odds
+from auv_mcm.classify.odds import MineOdds
 from auv_mcm.confirmation import (
     Examination,
     ExaminationStep,
@@ -26,11 +27,8 @@ from auv_mcm.confirmation import (
     opinions_on,
     region_of,
 )
-from auv_mcm.detect.cascade.choose import configured_model, fitting
-from auv_mcm.detect.cascade.model import CascadeModel
 from auv_mcm.detect.cascade.speed import measure_speed
 from auv_mcm.detect.detect_tile import detect_tile, worth_looking
-from auv_mcm.detect.gate import shipped_gate
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Detection, Ping, SourceEvent, Tile
 from auv_mcm.settings.budget_settings import BudgetConfig
@@ -100,9 +98,8 @@ def _flown(config: Config) -> tuple[Iterable[SourceEvent], Config]:
     from sim_replay.simulator.scene_file import read_scene
 
     scene = _short(read_scene(SCENE))
-    return Mission(scene).events(), msgspec.structs.replace(
-        config_for(scene), detect=config.detect, waterfall=config.waterfall
-    )
+    sections = {name: getattr(config, name) for name in ("detect", "confirm", "contacts", "waterfall")}
+    return Mission(scene).events(), config_for(scene, Config(**sections))
 
 
 def _played(config: Config, log: Path) -> tuple[Iterable[SourceEvent], Config]:
@@ -110,14 +107,14 @@ def _played(config: Config, log: Path) -> tuple[Iterable[SourceEvent], Config]:
 
 
 def _measured_once(events: Iterable[SourceEvent], config: Config, known: BudgetConfig, clock: Clock) -> PriceList:
-    model, _ = fitting(configured_model(config), config)
-    odds = shipped_odds("contrast" if model is None else "cascade")
+    models, _ = read_models(config)
+    model, odds = models.model, models.odds
     tiles: list[Tile] = []
     asked: list[Detection] = []
     looked_at: list[Detection] = []
 
     def look(detection: Detection) -> Detection:
-        done = confirm_detection(detection, config.sonar.beam_width_rad, odds, config.confirm)
+        done = confirm_detection(detection, config.sonar.beam_width_rad, odds, config.confirm, sizes=models.sizes)
         if detection.surroundings is not None and is_worth_confirming(detection, odds, config.confirm):
             asked.append(detection)
             if done.confirmation is not None:
@@ -138,9 +135,9 @@ def _measured_once(events: Iterable[SourceEvent], config: Config, known: BudgetC
         else measure_speed(model, config.waterfall.row_spacing_m, config.waterfall.column_spacing_m)
     )
     comparison_s = known.comparison_us / _US_PER_S if model is None else 1.0 / speed
-    bare_s, peak_s, n_peaks = _detection_costs(tiles, config, model, comparison_s, clock)
+    bare_s, peak_s, n_peaks = _detection_costs(tiles, config, models, comparison_s, clock)
     opinions_s = _opinions_cost_s(asked, config, odds, clock)
-    looks_s, n_work = _look_costs(looked_at[:_MAX_LOOKS], config, odds, clock)
+    looks_s, n_work = _look_costs(looked_at[:_MAX_LOOKS], config, models, clock)
     costs_s = pipeline.costs_s
     contours_s = sum(looks_s[step] for step in _OF_CONTOURS)
     other_s = sum(looks_s.values()) - contours_s - looks_s["solids"]
@@ -183,19 +180,18 @@ def _short(scene: Scene) -> Scene:
 
 
 def _detection_costs(
-    tiles: list[Tile], config: Config, model: CascadeModel | None, comparison_s: float, clock: Clock
+    tiles: list[Tile], config: Config, models: ChainModels, comparison_s: float, clock: Clock
 ) -> tuple[float, float, int]:
     """Time detection without measuring or the cascade, and measuring; s each, with the number of peaks measured."""
     unmeasured = msgspec.structs.replace(
         config, detect=msgspec.structs.replace(config.detect, max_candidates_per_tile=0)
     )
-    gate = shipped_gate()
     bare_s, whole_s, n_peaks = 0.0, 0.0, 0
     for tile in filter(worth_looking, tiles):
         began_s = clock()
-        bare = detect_tile(tile, unmeasured, model, gate)
+        bare = detect_tile(tile, unmeasured, models.model, models.gate)
         between_s = clock()
-        whole = detect_tile(tile, config, model, gate)
+        whole = detect_tile(tile, config, models.model, models.gate)
         bare_s += between_s - began_s - bare.n_evaluations * comparison_s
         whole_s += clock() - between_s - whole.n_evaluations * comparison_s
         n_peaks += len(whole.detections)
@@ -211,12 +207,12 @@ def _opinions_cost_s(detections: list[Detection], config: Config, odds: MineOdds
 
 
 def _look_costs(
-    detections: list[Detection], config: Config, odds: MineOdds, clock: Clock
+    detections: list[Detection], config: Config, models: ChainModels, clock: Clock
 ) -> tuple[dict[ExaminationStep, float], Counter[str]]:
     """Time the steps of examinations, s, and count their work."""
     spent: dict[ExaminationStep, float] = defaultdict(float)
     work = Counter(looks=0, moves=0, hypotheses=0)
-    examined = partial(_examined, config=config, odds=odds, clock=clock, spent=spent)
+    examined = partial(_examined, config=config, models=models, clock=clock, spent=spent)
     for detection in detections:
         found = examined(detection)
         if found is not None:
@@ -235,7 +231,7 @@ def hypotheses_of(effort: Effort, n_refined: int) -> int:
 
 
 def _examined(
-    detection: Detection, config: Config, odds: MineOdds, clock: Clock, spent: dict[ExaminationStep, float]
+    detection: Detection, config: Config, models: ChainModels, clock: Clock, spent: dict[ExaminationStep, float]
 ) -> Examination | None:
     if detection.surroundings is None:
         return None
@@ -248,7 +244,7 @@ def _examined(
         mark = now
 
     region = region_of(detection, detection.surroundings, config.sonar.beam_width_rad)
-    return examine(detection, region, odds, config.confirm.min_p_mine, done)
+    return examine(detection, region, models.odds, config.confirm.min_p_mine, done, ranges=models.sizes.ranges)
 
 
 def _price_us(cost_s: float, n_units: int, known_us: float) -> float:

@@ -12,8 +12,13 @@ import pytest
 from auv_mcm.budget import HYPOTHESES_PER_LOOK, look_price_us
 from auv_mcm.classify.fit import Effort
 from auv_mcm.cli import main
+from auv_mcm.detect.cascade.model import CascadeModel
+from auv_mcm.detect.detect_tile import TileDetections, detect_tile
+from auv_mcm.detect.gate import Gate
+from auv_mcm.errors import BadInputError
+from auv_mcm.records import Tile
 from auv_mcm.settings.budget_settings import BudgetConfig
-from auv_mcm.settings.config import Config, parse_config
+from auv_mcm.settings.config import Config, ConfirmConfig, parse_config
 from sim_replay.fitting import measure_prices as prices
 from sim_replay.fitting.measure_prices import PriceList, hypotheses_of, price_words
 from sim_replay.simulator.scene import Scene
@@ -54,6 +59,24 @@ def test_on_a_log_that_shows_nothing_prices_of_looks_stay_and_others_are_measure
     assert found.prices.sample_us != known.sample_us
     assert (found.n_units["peaks"], found.n_units["looks"]) == (0, 0)
     assert (found.prices.peak_us, found.prices.field_us) == (known.peak_us, known.field_us)
+
+
+def test_the_chain_timed_goes_by_the_odds_and_the_gate_configured(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    gates: list[Gate | None] = []
+
+    def detect(tile: Tile, config: Config, model: CascadeModel | None, gate: Gate | None) -> TileDetections:
+        gates.append(gate)
+        return detect_tile(tile, config, model, gate)
+
+    monkeypatch.setattr(prices, "_LEG_M", 60.0)
+    monkeypatch.setattr(prices, "detect_tile", detect)
+    ungated = parse_config("detect: {model: none, gate: none}\nconfirm: {enabled: false}", "own.yaml")
+    prices.measure_prices(ungated, n_runs=1)
+    assert set(gates) == {None}
+    with pytest.raises(BadInputError, match=r"confirm\.odds"):
+        prices.measure_prices(Config(confirm=ConfirmConfig(odds=str(tmp_path / "absent.json"))), n_runs=1)
 
 
 def test_without_the_bench_the_error_says_what_measures_as_well(
