@@ -2,9 +2,9 @@
 
 Three numbers change, each drawn to no change by a normal prior. Log-odds L become L + a + c (L - L0), which is Platt's
 scaling (J. Platt, "Probabilistic outputs for support vector machines", 1999) about L0, the lowest log-odds reported.
-Verdicts that are all against mines pull both a and c below 0 there, and so raise no p_mine. The logarithm of the
-background's density changes by b. Offset and slope go into the weights of every step, so that the chain works as
-before; the payload moves its background and its gate along.
+Verdicts that are all against mines pull both a and c below 0, and so raise no p_mine from there on, and none to there.
+The logarithm of the background's density changes by b. Offset and slope go into the weights of every step, so that the
+chain works as before; the payload moves its background and its gate along.
 
 Each mission is judged by what the others give. Without a gain there that excludes harm nothing is changed.
 """

@@ -121,6 +121,7 @@ def test_false_alarms_alone_never_raise_p_mine_and_mines_alone_never_lower_it(fo
     for is_mine, sign in ((0.0, -1.0), (1.0, 1.0)):
         a, c = map_offset_slope(log_odds, np.full(len(found), is_mine), np.ones(len(found)))
         assert (sign * (a + c * (levels - LOWEST_NATS)) >= 0.0).all()
+        assert c > -1.0, "else what lies below the lowest level would come to lie above it"
 
 
 def test_odds_that_are_too_high_are_lowered_and_a_mission_left_out_gains() -> None:
