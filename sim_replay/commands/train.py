@@ -62,15 +62,7 @@ def add(commands: Commands) -> None:
         metavar="DIR",
         help="folder of the tiles; rendered into it unless it holds those of the spec",
     )
-    parser.add_argument(
-        "--kind",
-        choices=("soft", "stages", "classical"),
-        default="soft",
-        help=(
-            "soft cascade (default); 'stages', as in the source paper, and 'classical' are finished, and kept in the "
-            "sources"
-        ),
-    )
+    parser.add_argument("--kind", choices=("soft",), default="soft", help=argparse.SUPPRESS)
     parser.add_argument(
         "--stumps", metavar="N", type=whole(1, _MAX_COUNT), help="stumps (default: as the model that ships)"
     )
@@ -91,11 +83,6 @@ def _run(arguments: argparse.Namespace) -> int:
     from sim_replay.fitting.cascade.train_cascade import train_model
     from sim_replay.fitting.cascade.trainer import N_STUMPS
 
-    if arguments.kind != "soft":
-        raise UsageError(
-            f"--kind {arguments.kind} is finished, and kept in the sources: docs/results.md, 'Finished benches', says "
-            "where, and how to run it. Train --kind soft"
-        )
     started_s = time.monotonic()
 
     def say(line: str) -> None:
