@@ -9,6 +9,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+import msgspec
+
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import PipelineEvent, SourceEvent
 from auv_mcm.safe_files import read_regular
@@ -60,7 +62,7 @@ def flight_along(log: Path, seed: int, config: Config = _USUAL) -> Iterator[Flig
     Raises BadInputError or UsageError as augment does.
     """
     with tempfile.TemporaryDirectory() as folder:
-        written = augment(log, scattered(seed), Path(folder), _USUAL)
+        written = augment(log, scattered(seed), Path(folder), msgspec.structs.replace(_USUAL, sonar=config.sonar))
         yield flight_with_targets(written.log, written.truth, config)
 
 

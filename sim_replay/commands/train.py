@@ -88,17 +88,16 @@ def _run(arguments: argparse.Namespace) -> int:
     def say(line: str) -> None:
         print(f"{time.monotonic() - started_s:6.0f} s  {line}", file=sys.stderr, flush=True)
 
-    farm = Farm(arguments.workers, arguments.scheduler)
+    farm, n_stumps = Farm(arguments.workers, arguments.scheduler), arguments.stumps or N_STUMPS
+    config = read_config(arguments.config)
 
     def train(out: Path) -> None:
-        n_stumps = arguments.stumps or N_STUMPS
-        train_model(arguments.spec, out, tiles=arguments.tiles, n_stumps=n_stumps, farm=farm, say=say)
+        tiles, sonar = arguments.tiles, config.sonar
+        train_model(arguments.spec, out, tiles=tiles, n_stumps=n_stumps, farm=farm, say=say, sonar=sonar)
 
     if arguments.all and arguments.network:
         raise UsageError("--all trains the network too: give one of --all and --network")
     if not (arguments.all or arguments.network):
-        if arguments.config is not None:
-            raise UsageError("--config says what follows the detector: give it with --all or --network")
         check_new(arguments.out)
         train(arguments.out)
         answer({"model": arguments.out}, [f"model: {arguments.out}"], as_json=arguments.json)
@@ -112,9 +111,10 @@ def _run(arguments: argparse.Namespace) -> int:
             "--all and --network need a SPEC that names scenes, sonars and augmented lines: see docs/how-to"
         )
     options = f"--theatre {arguments.spec}"
-    config = read_config(arguments.config)
     theatre = read_theatre(arguments.spec, config, options)
     spec, out, alone = read_regular(arguments.spec), arguments.out, arguments.network
+    if n_stumps != N_STUMPS and not alone:
+        spec += f"\n# {n_stumps} stumps\n".encode()  # a folder of others is not gone on in
     tables = fit_theatre(theatre, config, spec, out, train, farm, _watched, network_alone=alone)
     made = arguments.out / CONFIG
     answer({"config": made, "judged": tables.splitlines()}, [tables, f"configuration: {made}"], as_json=arguments.json)

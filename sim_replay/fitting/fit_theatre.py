@@ -136,8 +136,8 @@ def _begin(folder: Path, spec: bytes, *, network_alone: bool) -> None:
     spec += _NETWORK_ALONE if network_alone else b""
     if kept.exists() and read_regular(kept) != spec:
         raise UsageError(
-            f"--out {folder} has files that were fitted otherwise, with another configuration or for another spec, "
-            f"{kept}: name a new one"
+            f"--out {folder} has files that were fitted otherwise, with other options, another configuration or for "
+            f"another spec, {kept}: name a new one"
         )
     write_file(kept, spec)
 

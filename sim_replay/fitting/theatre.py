@@ -10,7 +10,7 @@ import msgspec
 
 from auv_mcm.model_file import NONE, SHIPPED
 from auv_mcm.safe_files import read_regular
-from auv_mcm.settings.config import USUAL_BEAM_DEG, Config
+from auv_mcm.settings.config import USUAL_BEAM_DEG, Config, SonarConfig
 from sim_replay.augment.augment_log import TRUTH_NAME
 from sim_replay.fitting.cascade.spec import SonarVariant, carrying, on_grid, read_training_spec, within_swath
 from sim_replay.fitting.cascade.tiles import Split
@@ -24,7 +24,8 @@ _PING_SHARE: Final = 0.95  # of the ping rate that the way of sound to the end o
 class Theatre(NamedTuple):
     """Hold what missions are flown with.
 
-    config: of the payload; what it says of picture, detection, confirmation and contacts counts. sonars: carried in
+    config: of the payload; what it says of picture, detection, confirmation and contacts counts, and of the sonar for
+    lines. sonars: carried in
     turn, by the mission's number. scenes: names or files, none for the named ones. lines: folders of `auv-mcm augment`
     with the split that each is of. test_seeds: of missions to judge on. options: of the command line, that name all
     this.
@@ -66,7 +67,8 @@ class Theatre(NamedTuple):
             fastest_hz = _PING_SHARE * 0.5 * flown.sonar.sound_speed_mps / flown.sonar.range_m
             rate_hz = min(flown.sonar.ping_rate_hz, fastest_hz) if sonar.range_m else flown.sonar.ping_rate_hz
             flown = msgspec.structs.replace(flown, sonar=msgspec.structs.replace(flown.sonar, ping_rate_hz=rate_hz))
-        return flown, config_for(flown, on_grid(self.config, sonar))
+        config = msgspec.structs.replace(self.config, sonar=SonarConfig())  # the scene's vehicle carries its own
+        return flown, config_for(flown, on_grid(config, sonar))
 
     def digest(self) -> str:
         """Digest what the files hold that missions go by: scenes, augmented lines and the detector."""
@@ -114,7 +116,8 @@ def read_theatre(spec: Path | None, config: Config, options: str) -> Theatre:
     Raises UsageError for a set that cannot be read, as `read_training_spec` does.
     """
     confirm = msgspec.structs.replace(config.confirm, targets=SHIPPED)
-    own = Config(detect=config.detect, confirm=confirm, contacts=config.contacts, waterfall=config.waterfall)
+    sections = {name: getattr(config, name) for name in ("sonar", "detect", "contacts", "waterfall")}
+    own = Config(confirm=confirm, **sections)
     if spec is None:
         return Theatre(config=own, options=options)
     known, base = read_training_spec(spec)

@@ -18,7 +18,7 @@ import numpy as np
 from msgspec import Meta
 
 from auv_mcm.errors import UsageError
-from auv_mcm.settings.config import Config
+from auv_mcm.settings.config import Config, SonarConfig
 from auv_mcm.settings.strict_yaml import explain_validation_error, load_mapping, read_text
 from sim_replay.fitting.cascade.tiles import Split
 from sim_replay.missions import FIRST_SEED, config_for
@@ -31,6 +31,9 @@ from sim_replay.simulator.scene_file import check_scene, read_scene
 _STREAM: Final = 0x53504543  # keeps these random numbers apart from others of the same seed
 _EDGE: Final = 0.95  # of the swath: targets are put no farther out
 _DEFAULT: Final = resources.files("sim_replay.fitting.cascade") / "default.yaml"
+
+USUAL_SONAR: Final = SonarConfig()
+"""That recorded augmented logs, where nothing else is configured."""
 
 _Factor = Annotated[float, Meta(ge=0.1, le=10.0)]
 
@@ -187,12 +190,19 @@ def parse_training_spec(text: str, place: str) -> Spec:
     return spec
 
 
-def lines_of(spec: Spec, folder: Path) -> tuple[SimulatedLine | AugmentedLine, ...]:
+def lines_of(spec: Spec, folder: Path, sonar: SonarConfig = USUAL_SONAR) -> tuple[SimulatedLine | AugmentedLine, ...]:
     """List all missions of a spec, ready to be rendered.
 
     Simulated ones split by split and seed by seed, then augmented ones.
 
-    folder: that paths start from. Raises UsageError for scenes that are not there or cannot be, and two of one name.
+    Parameters
+    ----------
+    folder
+        That paths start from.
+    sonar
+        That recorded the augmented ones.
+
+    Raises UsageError for scenes that are not there or cannot be, and two of one name.
     """
     scenes = {}
     for name in spec.scenes:
@@ -208,7 +218,7 @@ def lines_of(spec: Spec, folder: Path) -> tuple[SimulatedLine | AugmentedLine, .
         for number, seed in enumerate(seeds.seeds)
         for label, scene in scenes.items()
     ]
-    own = on_grid(Config(), spec.sonars[0])
+    own = on_grid(Config(sonar=sonar), spec.sonars[0])
     return (*simulated, *(AugmentedLine(folder / log.folder, own, log.split) for log in spec.augmented))
 
 

@@ -8,13 +8,15 @@ dask cluster.
 from __future__ import annotations
 
 import gc
+import hashlib
 import math
 import sys
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
+from io import BufferedReader
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Annotated, Any, Final, cast
 
 import msgspec
 import numpy as np
@@ -25,12 +27,12 @@ from auv_mcm.detect.detect_tile import TileDetections, worth_looking
 from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import LOW_RESOLUTION, NAN, VALID, SourceEvent, Tile
-from auv_mcm.safe_files import read_regular
-from auv_mcm.settings.config import Config
+from auv_mcm.safe_files import open_regular, read_regular
+from auv_mcm.settings.config import Config, SonarConfig
 from auv_mcm.shell.whole_files import make_directory
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
 from sim_replay.fitting.cascade.place import PlacedTarget, cropped, objects_in
-from sim_replay.fitting.cascade.spec import AugmentedLine, SimulatedLine, lines_of, read_training_spec
+from sim_replay.fitting.cascade.spec import USUAL_SONAR, AugmentedLine, SimulatedLine, lines_of, read_training_spec
 from sim_replay.fitting.cascade.store import Manifest, Packed, pack, write_set
 from sim_replay.fitting.cascade.tiles import LabelledTile, Origin
 from sim_replay.logs.recorded import RecordedMission
@@ -124,14 +126,32 @@ def labelled(
     )
 
 
-def render_set(spec_path: Path | None, folder: Path, farm: Farm) -> Manifest:
+def made_from(spec_path: Path | None, sonar: SonarConfig = USUAL_SONAR) -> dict[str, Any]:
+    """Describe what a set is rendered from: the spec, the sonar of its augmented logs, and digests of its files."""
+    spec, base = read_training_spec(spec_path)
+    named = [beside if (beside := base / name).is_file() else Path(name) for name in spec.scenes]
+    for log in spec.augmented:
+        truth = base / log.folder / TRUTH_NAME
+        named += [truth, truth.with_name(augmented_truth(truth)[0])]
+    files = [_digest(file) for file in named if file.is_file()]
+    return dict(msgspec.to_builtins(spec), files=files, recorded_by=msgspec.to_builtins(sonar))
+
+
+def _digest(file: Path) -> str:
+    with open_regular(file) as opened:
+        return hashlib.file_digest(cast(BufferedReader, opened), "sha256").hexdigest()
+
+
+def render_set(spec_path: Path | None, folder: Path, farm: Farm, sonar: SonarConfig = USUAL_SONAR) -> Manifest:
     """Render all missions of a spec (None: the one that ships) into a folder, and report progress on stderr.
+
+    sonar: that recorded the augmented logs, mounted as where targets were put into them.
 
     Raises UsageError for a spec that cannot be, objects that find no room, and a sea floor that comes twice;
     BadInputError for augmented logs that are not there; and as run_tasks does.
     """
     spec, base = read_training_spec(spec_path)
-    lines = lines_of(spec, base)
+    lines = lines_of(spec, base, sonar)
     for line in lines:
         if isinstance(line, SimulatedLine):
             _check_room(line)
@@ -148,7 +168,7 @@ def render_set(spec_path: Path | None, folder: Path, farm: Farm) -> Manifest:
         )
 
     try:
-        return write_set(folder, run_tasks(render_line, lines, farm, show_progress), msgspec.to_builtins(spec))
+        return write_set(folder, run_tasks(render_line, lines, farm, show_progress), made_from(spec_path, sonar))
     except OSError as error:
         raise UsageError(f"{folder}: {error.strerror}. Name another folder, or make room") from error
     finally:
@@ -247,6 +267,6 @@ def check_once(lines: Iterable[SimulatedLine | AugmentedLine]) -> None:
         if background in splits:
             raise UsageError(
                 f"sea floor '{background}' is in the set twice, for {splits[background]} and for {line.split}. Give "
-                "each recorded line once"
+                "each recorded line once; if two logs have one name, rename one and augment it again"
             )
         splits[background] = line.split

@@ -56,7 +56,11 @@ seeds: {train: {first: 600, count: 1}, test: {first: 800, count: 1}}
 sonars: [{frequency_khz: 700, range_m: 100, row_spacing_m: 0.2, column_spacing_m: 0.1}, {}]
 augmented: [{folder: line, split: validate}, {folder: other, split: train}]
 """
-CONFIG = "detect: {suppression_m: 1.5}\nsonar: {transfer: log}\nconfirm: {targets: listed.yaml}"
+CONFIG = """
+detect: {suppression_m: 1.5}
+sonar: {transfer: log, lever_arm_m: [2, -1, 0]}
+confirm: {targets: listed.yaml}
+"""
 
 
 @pytest.fixture
@@ -78,7 +82,8 @@ def test_missions_carry_the_sonars_in_turn_and_show_the_picture_configured(theat
     assert flown.sonar.ping_rate_hz < 7.5  # sound takes 133 ms to 100 m and back
     assert (config.waterfall.row_spacing_m, config.waterfall.column_spacing_m) == (0.2, 0.1)
     assert config.detect.suppression_m == 1.5
-    assert (config.sonar.transfer, config.confirm.targets) == ("auto", "shipped"), "of a vehicle, not of its models"
+    assert (config.sonar.transfer, config.sonar.lever_arm_m) == ("auto", (0.0, 0.0, 0.0)), "the scene has its own"
+    assert config.confirm.targets == "shipped", "of a vehicle, not of its models"
     assert theatre.carried(scene, 1)[0] == scene
     assert USUAL.carried(scene, 0)[0] == scene
     by_cascade = theatre.with_files(model="own.json", odds="odds.json").config
@@ -109,6 +114,7 @@ def test_a_line_with_targets_is_flown_as_it_lies_there(theatre: Theatre, tmp_pat
     with flight_of(LookTask(folder, 0, theatre=theatre)) as flight:
         assert flight.truth() == truth
         assert flight.config.waterfall.row_spacing_m == 0.2
+        assert flight.config.sonar.lever_arm_m == (2.0, -1.0, 0.0), "as where its targets were put in"
         assert any(isinstance(event, Ping) for event in flight.events)
 
 

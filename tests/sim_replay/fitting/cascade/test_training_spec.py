@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from auv_mcm.errors import UsageError
+from auv_mcm.settings.config import SonarConfig
 from sim_replay.fitting.cascade.spec import (
     AugmentedLine,
     SimulatedLine,
@@ -136,7 +137,7 @@ def test_scene_files_and_augmented_logs_are_looked_for_beside_the_spec(tmp_path:
         "3}\n"
         "sonars: [{row_spacing_m: 0.2, column_spacing_m: 0.1}, {}]\naugmented: [{folder: line1, split: validate}]"
     )
-    first, second = lines_of(*read_training_spec(tmp_path / "set.yaml"))
+    first, second = lines_of(*read_training_spec(tmp_path / "set.yaml"), SonarConfig(heading_offset_deg=2.0))
     assert isinstance(first, SimulatedLine)
     assert isinstance(second, AugmentedLine)
     assert first.background == "mine/600"
@@ -144,6 +145,7 @@ def test_scene_files_and_augmented_logs_are_looked_for_beside_the_spec(tmp_path:
     assert (second.folder, second.split) == (tmp_path / "line1", "validate")
     assert second.config.waterfall == first.config.waterfall, "of the first sonar"
     assert second.config.waterfall.column_spacing_m == 0.1
+    assert (first.config.sonar.heading_offset_deg, second.config.sonar.heading_offset_deg) == (0.0, 2.0)
 
 
 SEEDS = "seeds: {train: {first: 600, count: 2}}\n"
