@@ -142,11 +142,11 @@ def _time(value: Any) -> str:
     """Write a time as the standard wants it, UTC with milliseconds; "" for what is none."""
     try:
         moment = datetime.fromisoformat(str(value))
-    except ValueError:
+        if moment.tzinfo is None:
+            return ""
+        return moment.astimezone(UTC).replace(tzinfo=None).isoformat(timespec="milliseconds") + "Z"
+    except (ValueError, OverflowError):  # the latter of a time before the year 1 or after 9999 in UTC
         return ""
-    if moment.tzinfo is None:
-        return ""
-    return moment.astimezone(UTC).replace(tzinfo=None).isoformat(timespec="milliseconds") + "Z"
 
 
 def _cell(value: Any, of_type: str) -> Any:

@@ -141,9 +141,10 @@ def test_a_track_cut_at_the_antimeridian_has_longitudes_that_gpx_allows(tmp_path
 
 
 def test_a_geopackage_is_whole_and_takes_any_name_and_value(tmp_path: Path) -> None:
+    early = "0001-01-01T00:00:00+05:00"  # in UTC before any year
     features = [
         feature({"type": "Point", "coordinates": [1.0, 2.0]}, {HOSTILE: 1, "fid": 7, "mixed": 1, "list": [1, None]}),
-        feature(None, {HOSTILE: 2.5, "mixed": "two", "yes": True}),
+        feature(None, {HOSTILE: 2.5, "mixed": "two", "yes": True, "time": early}),
     ]
     for _ in range(2):  # the second time another file is in the way
         write_geopackage(tmp_path / "m.gpkg", {HOSTILE: features, "empty": []})
@@ -152,8 +153,8 @@ def test_a_geopackage_is_whole_and_takes_any_name_and_value(tmp_path: Path) -> N
         assert base.execute("PRAGMA integrity_check").fetchone() == ("ok",)
         assert base.execute("SELECT table_name FROM gpkg_contents").fetchall() == [(HOSTILE,)]
         quoted = HOSTILE.replace('"', '""')
-        rows = base.execute(f'SELECT "{quoted}", mixed, list, yes, geom IS NULL FROM "{quoted}"').fetchall()
-        assert rows == [(1.0, "1", "[1, null]", None, 0), (2.5, "two", None, 1, 1)]
+        rows = base.execute(f'SELECT "{quoted}", mixed, list, yes, time, geom IS NULL FROM "{quoted}"').fetchall()
+        assert rows == [(1.0, "1", "[1, null]", None, None, 0), (2.5, "two", None, 1, early, 1)]
         base.execute("INSERT INTO gpkg_contents (table_name, data_type) VALUES ('notes', 'attributes')")
         (changed,) = base.execute("SELECT last_change FROM gpkg_contents WHERE table_name = 'notes'").fetchone()
         assert datetime.fromisoformat(changed).year > 2000, "the standard's default, for programs that add a layer"
