@@ -15,7 +15,6 @@ from collections.abc import Iterator, Sequence
 from functools import reduce
 from typing import IO, Final, Literal, NamedTuple, TypeAlias
 
-import cv2
 import numpy as np
 from msgspec import structs
 from numpy.typing import NDArray
@@ -465,15 +464,16 @@ def _variance_m2(
 ) -> NDArray[np.float64]:
     """Compute the variance of places along the worst axis, m^2, between a few rows and ranges of which it is known."""
     rows = centre[:: max(1, len(centre) * _COVARIANCE_ROWS // max(int(centre[-1] - centre[0]), 1))]
+    ranges_m = np.array([0.0, 0.5, 1.0]) * ground_m[-1]
     few = []
-    for distance_m in (0.0, 0.5 * ground_m[-1], ground_m[-1]):
+    for distance_m in ranges_m:
         echoes = tile_echoes(tile, rows, float(distance_m))
         sigma_m = np.interp(rows, np.arange(len(tile.pose)), tile.first_return_sigma_m)
         covariance = position_covariance(echoes, config.sonar, config.navigation, sigma_m)
         few.append(np.linalg.eigvalsh(covariance)[:, -1] + echoes.pose.position_sigma_m**2)
-    known = np.stack(few, axis=1).astype(np.float32)
-    size = len(ground_m), len(centre)
-    return np.maximum(cv2.resize(known, size, interpolation=cv2.INTER_LINEAR), np.float32(0.0)).astype(np.float64)
+    across = np.stack([np.interp(ground_m, ranges_m, known) for known in np.stack(few, axis=1)])
+    shares = np.stack([np.interp(centre, rows, one) for one in np.eye(len(rows))], axis=1)
+    return np.asarray(np.maximum(shares @ across, 0.0))
 
 
 def _as_bytes(sums: Sums, max_sigma_m: float) -> NDArray[np.uint8]:

@@ -15,10 +15,16 @@ from numpy.typing import NDArray
 
 from auv_mcm.cli import main
 from auv_mcm.geometry.geodesy import LocalFrame
-from auv_mcm.geometry.georeference import NOMINAL_SOUND_SPEED_MPS, EchoGeometry, locate
+from auv_mcm.geometry.georeference import (
+    NOMINAL_SOUND_SPEED_MPS,
+    EchoGeometry,
+    locate,
+    position_covariance,
+    tile_echoes,
+)
 from auv_mcm.records import LOW_RESOLUTION, VALID, PoseTrack, Tile
 from auv_mcm.settings.config import Config
-from sim_replay.mosaic import BLOCK, Mosaic
+from sim_replay.mosaic import BLOCK, SIGMA_STEP_M, Mosaic
 from sim_replay.simulate import simulate
 from sim_replay.simulator.scene import EXACT, Lawnmower, Scene, SceneObject, Sonar, Track
 from tests.make.records import pose_of
@@ -59,6 +65,19 @@ def drawn(mosaic: Mosaic) -> NDArray[np.float32]:
         assert sums is not None
         whole[: len(sums), row * BLOCK : (row + 1) * BLOCK, column * BLOCK : (column + 1) * BLOCK] = sums
     return whole
+
+
+def test_the_error_of_a_position_is_that_of_its_own_range() -> None:
+    one = tile(n_columns=600, heading_deg=0.0)  # the bottom is 5 m below: the swath reaches 72 m
+    mosaic = Mosaic(Config(), ROW_M)
+    mosaic.add(one)
+    picture, _ = next(mosaic.levels()).picture()
+    found_m = SIGMA_STEP_M * picture[len(picture) // 2, :, 1]
+    for share in (0.1, 0.25, 0.5, 0.65, 0.8, 0.95):
+        echoes = tile_echoes(one, np.array([20.0]), share * 600 * ROW_M)
+        (covariance,) = position_covariance(echoes, Config().sonar, Config().navigation, one.first_return_sigma_m[:1])
+        sigma_m = math.sqrt(np.linalg.eigvalsh(covariance)[-1] + float(echoes.pose.position_sigma_m[0]) ** 2)
+        assert found_m[int(share * len(found_m))] == pytest.approx(sigma_m, abs=0.17)
 
 
 def test_each_pixel_of_a_tile_goes_where_the_geometry_puts_it() -> None:
