@@ -35,6 +35,7 @@ _TURN_FACTOR_NATS: Final = 0.35  # decibels that differ by less are not worth st
 _DOUBT_NATS: Final = 0.7
 _GAP_S: Final = 2.0
 _GAP_STEPS: Final = 3.0  # of the time between pings: those of a long-range sonar come seconds apart
+_SLOWEST_S: Final = 30.0  # s between pings of one recorder, maximum; chosen: sound goes 20 km and back
 _RECENT_BLOCKS: Final = 32  # 512 pings
 _WATCHED: Final = 4  # of so many blocks after the decision one is measured, at a quarter of the processor time
 _SPREAD_BLOCKS: Final = 32
@@ -111,6 +112,7 @@ class LawWatch:
             self._far_s = math.nan
         elif not from_far_s < math.inf or self._is_hole(from_far_s):
             self._far_s = ping.time_s
+            self._step_s = from_far_s if from_far_s < _SLOWEST_S else self._step_s  # of rarer pings than before
             return
         else:
             step_s, self._far_s = from_far_s, math.nan

@@ -143,6 +143,15 @@ def test_the_law_turns_when_another_recorder_speaks(gap_s: float) -> None:
     assert not more
 
 
+@pytest.mark.parametrize("step_s", [2.5, 20.0])
+def test_a_hole_is_noticed_before_pings_that_come_more_rarely(step_s: float) -> None:
+    before, behind = pings(AMPLITUDE.astype(np.uint8)), pings(LOGARITHM)
+    later = [structs.replace(one, time_s=one.time_s + 3600.0 + step_s * n) for n, one in enumerate(behind)]
+    (_, _), (number, turned) = verdicts_of(LawWatch(SonarConfig()), before + later)
+    assert turned.transfer is not None
+    assert number <= 66, "its own 64 pings decide, without those before the hole"
+
+
 def test_a_configured_law_that_fits_is_used_at_once_and_never_doubted() -> None:
     for sonar, samples in (
         (SonarConfig(transfer="amplitude"), AMPLITUDE),
