@@ -15,6 +15,7 @@ import yaml
 from msgspec import Meta
 
 from auv_mcm.errors import UsageError
+from auv_mcm.model_file import named_files
 from auv_mcm.settings.config import Config, parse_config
 from auv_mcm.settings.port_settings import DEVICE_NAMES
 from auv_mcm.settings.strict_yaml import explain_validation_error, load_mapping, read_text
@@ -140,7 +141,18 @@ def read_scenario(name: str) -> Read:
         raise UsageError(f"{path} is a folder. Give the {_SUFFIX} file of one scenario; {_EXAMPLE}")
     if path.suffix != _SUFFIX:
         raise UsageError(f"there is no scenario '{name}'. Give a {_SUFFIX} file or one of: {', '.join(shipped())}")
-    return Read(path.stem, path.parent, parse_scenario(read_text(path, "scenario"), str(path)))
+    scenario = parse_scenario(read_text(path, "scenario"), str(path))
+    service = _with_files_from(path.parent.absolute(), scenario)
+    return Read(path.stem, path.parent, msgspec.structs.replace(scenario, service=service))
+
+
+def _with_files_from(folder: Path, scenario: Scenario) -> dict[str, Any]:
+    """Return the service's configuration, the files that it names beginning from a folder: it is written to another."""
+    named = named_files(service_config(scenario, dict.fromkeys(scenario.devices, _ANY_LINK), ""))
+    service = {**scenario.service}
+    for (section, key), name in named.items():
+        service[section] = {**service[section], key: str(folder / name)}
+    return service
 
 
 def parse_scenario(text: str, place: str) -> Scenario:

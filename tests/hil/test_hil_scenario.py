@@ -11,6 +11,7 @@ import pytest
 import yaml
 
 from auv_mcm.cli import main
+from auv_mcm.commands import read_config
 from auv_mcm.errors import UsageError
 from auv_mcm.settings.config import parse_config
 from deploy.site.raised import counted_names, notices_by_code, raised_notices
@@ -60,6 +61,17 @@ def test_the_service_gets_the_devices_addresses_and_a_folder_for_its_results(tmp
     config = parse_config(service_yaml(scenario, URIS, tmp_path / "results"), "service.yaml")
     assert [(port.name, port.link) for port in config.ports] == [("sonar", URIS["sonar"]), ("other", URIS["nav"])]
     assert (config.service.source, config.service.output_directory) == ("ports", str(tmp_path / "results"))
+
+
+def test_files_that_the_configuration_names_are_looked_for_from_the_scenarios_folder(tmp_path: Path) -> None:
+    files = "  confirm: {targets: mines.yaml, odds: /models/odds.json}\n  detect: {model: none}\n"
+    (tmp_path / "own.yaml").write_text(SOUND.replace("service:\n", f"service:\n{files}", 1))
+    out = tmp_path / "out" / "service.yaml"
+    out.parent.mkdir()
+    out.write_text(service_yaml(read_scenario(str(tmp_path / "own.yaml")).scenario, URIS, tmp_path / "results"))
+    config = read_config(out)
+    assert config.confirm.targets == str(tmp_path / "mines.yaml")
+    assert (config.confirm.odds, config.detect.model) == ("/models/odds.json", "none")
 
 
 @pytest.mark.parametrize(
