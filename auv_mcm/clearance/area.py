@@ -55,8 +55,10 @@ class AreaState(NamedTuple):
 
     def words(self) -> str:
         """State the clearance in a few words, rounded down so that it never reads as reached when it is not."""
-        p_detected = math.floor(100.0 * self.p_detected + 1e-9) / 100.0
-        return f"clearance {p_detected:.2f} of {required_words(self.required)}" + " reached" * self.is_reached
+        required = required_words(self.required)
+        n_digits = len(required.partition(".")[2])
+        p_detected = math.floor(10.0**n_digits * self.p_detected + 1e-9) / 10.0**n_digits
+        return f"clearance {p_detected:.{n_digits}f} of {required}" + " reached" * self.is_reached
 
 
 def required_words(required: float) -> str:
