@@ -62,15 +62,19 @@ export function mapView(tiles, handlers) {
     const have = strips.rows.length ? strips.rows[strips.rows.length - 1] : grid.first_row;
     if (asking || !grid.row_m || have + STRIP_ROWS > grid.stop_row) return;
     asking = true;
+    const known = strips;
+    let isOutdated = false; // the answer, where another picture has come meanwhile
     try {
       const more = await get(`api/strips/${have}/${grid.stop_row}`);
       // The last corner comes again: it lay behind the last ping, by whose pose it was placed.
-      if (more.row.length) strips = {rows: [...strips.rows.slice(0, -1), ...more.row], corners: [...strips.corners.slice(0, -1), ...more.corners]};
+      isOutdated = strips !== known;
+      if (more.row.length && !isOutdated) strips = {rows: [...strips.rows.slice(0, -1), ...more.row], corners: [...strips.corners.slice(0, -1), ...more.corners]};
       if (!wasMoved) fit(); // a mission that grows stays in sight until somebody looks closer
       redraw();
     } finally {
       asking = false;
     }
+    if (isOutdated) await moreStrips();
   }
 
   // The sea floor is drawn apart, not at every frame: until its next turn the last picture is moved and scaled.

@@ -195,6 +195,34 @@ def test_what_was_done_to_the_bottom_line_is_undone_step_by_step_and_else_to_be_
     in_browser(shown(write_results(tmp_path, [feature(1)]), sea_floor()), visit)
 
 
+def test_places_asked_for_before_the_waterfall_was_made_are_asked_for_again(tmp_path: Path) -> None:
+    """The answer may come after the provisional picture is gone."""
+
+    async def visit(page: BrowserPage) -> None:
+        await page.evaluate("""(async () => {
+          const {mapView} = await import("./page/map.js"), map = mapView(bench.tiles, {select() {}});
+          const asked = window.asked = [], fetched = window.fetch;
+          window.fetch = async (path) => {
+            if (!path.includes("strips")) return fetched(path);
+            asked.push(path.split("strips/")[1]);
+            await new Promise((done) => { window.answer = done; });
+            return fetched(path);
+          };
+          window.grid = (provisional, stop_row) => map.setGrid({...bench.state, provisional, stop_row});
+          grid(true, 128);
+          grid(false, 128);
+          answer();
+        })()""")
+        await page.wait_for("asked.length === 2")
+        await page.evaluate("answer()")
+        await page.wait_for("grid(true, 256), asked.length === 3")
+        await page.evaluate("grid(false, 512), answer()")
+        await page.wait_for("asked.length === 4")
+        assert await page.evaluate("answer(), asked") == ["0/128", "0/128", "128/256", "0/512"]
+
+    in_browser(shown(write_results(tmp_path, [feature(1)]), sea_floor()), visit)
+
+
 def test_a_chart_lies_below_the_map_until_it_is_switched_off(tmp_path: Path) -> None:
     folder = write_results(tmp_path, [feature(1, OBJECT_ROW, OBJECT_M)])
     mission = shown(folder, sea_floor())
