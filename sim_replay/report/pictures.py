@@ -113,7 +113,7 @@ class PictureCollector:
         return np.array([row * self._row_spacing_m for row, _ in marks]), np.array([time_s for _, time_s in marks])
 
     def strips(self, max_bytes: int = MAX_JPEG_BYTES) -> tuple[PictureStrip, ...]:
-        """Cut the mission into strips of about equal length, their pictures within `max_bytes` together."""
+        """Cut a mission that has any echo into strips of about equal length, their pictures within `max_bytes`."""
         while True:
             for quality in _QUALITIES:
                 if (strips := self._drawn(quality, max_bytes)) is not None:
@@ -130,7 +130,7 @@ class PictureCollector:
         self._columns_per_pixel *= columns
 
     def _drawn(self, quality: int, max_bytes: int) -> tuple[PictureStrip, ...] | None:
-        if not self._pieces:
+        if not any((piece.pixels & LEVELS).any() for piece in self._pieces):
             return ()
         first = min(piece.first_row for piece in self._pieces)
         stop = max(piece.first_row + piece.n_rows for piece in self._pieces)

@@ -152,6 +152,16 @@ def test_tiles_without_rows_times_or_pings_have_no_time_and_leave_no_nan_on_the_
     assert "nan" not in Page(render_report(Shown(mission(), [], [], [], [], {}, pictures))).text
 
 
+def test_tiles_in_which_nothing_was_measured_make_no_strips_and_the_page_says_so() -> None:
+    mask = np.zeros((64, 200), dtype=np.uint8)
+    mask[:, :4] = LOW_RESOLUTION
+    pictures = PictureCollector()
+    for index in range(3):
+        pictures.add_tile(tile(index, mask=mask))
+    assert pictures.strips() == ()
+    assert "and no sea floor was seen." in Page(render_report(Shown(mission(), [], [], [], [], {}, pictures))).text
+
+
 @pytest.mark.parametrize("side", ["port", "starboard"])
 def test_a_contact_picture_is_oriented_like_the_strips(side: Side) -> None:
     snippet = np.full((20, 60), 0.05, dtype=np.float32)
