@@ -284,6 +284,12 @@ def test_numbers_not_known_never_show_as_nan() -> None:
     assert "nan" not in without_pictures.lower()
 
 
+def test_a_contact_whose_chance_is_not_known_stays_in_the_table() -> None:
+    (row,) = re.findall('<tr class="p1"[^>]*>.*?</tr>', page(contact(p_mine=NAN)))
+    assert 'data-p="0"' in row  # which the script compares with the least chance that is shown
+    assert "nan" not in row
+
+
 def test_very_many_views_are_listed_by_the_strongest_and_counted() -> None:
     views = tuple(
         msgspec.structs.replace(detection(), score=float(number), time_s=float(number)) for number in range(30)
