@@ -5,10 +5,6 @@ u8 entity of it, u16 destination and u8 entity), the payload, and CRC-16/ARC of 
 order. Text is a u16 length and UTF-8. A message inside another is its u16 id, 65535 for none, and its payload; a list
 of them has a u16 count before.
 
-Fields stand in the order of the wire, with its units: radians, metres, m/s, seconds. Only messages with a use here are
-in the table; the layouts are those of IMC.xml. Two messages are the payload's own, with ids of the range for third
-parties (1000 and above), because IMC has none for a contact: MineContact (1700) and its answer MineContactTaken (1701).
-
 The codec is our own. imcpy, the public one, decodes a sound packet just as well and serves the tests as oracle, but its
 stream parser (1.1.2) believes lengths before checksums: in a campaign of faults it lost 4135 of 6828 intact packets,
 this one none. And it neither reads nor writes messages that its table does not have, such as the two of our own.
@@ -189,7 +185,9 @@ def _write(message: ImcMessage, order: Order, pieces: list[bytes]) -> None:
             continue
         value = next(values)
         if part == "text":
-            text = value.encode("utf-8", "replace")[:MAX_TEXT_BYTES]
+            text = value.encode("utf-8", "replace")
+            if len(text) > MAX_TEXT_BYTES:
+                text = text[:MAX_TEXT_BYTES].decode("utf-8", "ignore").encode("utf-8")  # no part of a character
             pieces += (u16.pack(len(text)), text)
             continue
         if isinstance(part, Many):

@@ -215,10 +215,11 @@ def test_a_message_inside_another_must_be_of_the_kind_that_belongs_there() -> No
         decode(480, b"\0\x60\xff" + (800).to_bytes(2, "little") + encode(imc.Target("", 0.0, 0.0)) + b"\2\1")
 
 
-def test_long_texts_are_cut() -> None:
-    again = decode(1, encode(imc.EntityState(1, 0, "ä" * 5000)))
+@pytest.mark.parametrize("start", ["", "a"])
+def test_long_texts_are_cut_between_characters(start: str) -> None:
+    again = decode(1, encode(imc.EntityState(1, 0, start + "ä" * 5000)))
     assert isinstance(again, imc.EntityState)
-    assert again.description == "ä" * (MAX_TEXT_BYTES // 2)
+    assert again.description == start + "ä" * ((MAX_TEXT_BYTES - len(start)) // 2)
 
 
 def a_report(**changes: Any) -> ContactReport:
