@@ -196,7 +196,7 @@ double shape_cost_of(int64_t kind, const double *hypothesis, const Image *image,
     part[2].sum = image->total - part[0].sum - part[1].sum;
     for (int k = 0; k < 3; k++)
         mean[k] = larger(part[k].count > 0.0 ? part[k].sum / part[k].count : 0.0, LEAST_MEAN);
-    if (!(part[0].count >= 4.0 && part[1].count >= 8.0 && part[2].count > 0.0))
+    if (!(part[0].count >= 4.0 && part[1].count >= 8.0 && part[2].count >= 1.0))
         return FORBIDDEN;
     if (beam->n_taps > 1) {
         mixture[0].count = image->n_total;

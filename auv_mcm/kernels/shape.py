@@ -60,7 +60,7 @@ _MIN: Final[dict[Solid, Array]] = {
 }
 _MAX_TAPS: Final = 3  # slices of a beam: its middle and one on either side; equal in C
 SCORING_STEPS: Final = 2  # of Fisher's; they leave 0.02 nats at the median, 0.5 at the 95th percentile
-_MIN_HIGHLIGHT, _MIN_SHADOW = 4.0, 8.0  # pixels
+_MIN_HIGHLIGHT, _MIN_SHADOW, _MIN_FLOOR = 4.0, 8.0, 1.0  # pixels
 _DARKEST_HIGHLIGHT, _BRIGHTEST_SHADOW = 1.3, 0.6  # relative to the floor
 _AT_ONCE: Final = 256  # hypotheses that numpy weighs together: bounds memory, and more are no faster
 _MIXTURES: Final = 3**_MAX_TAPS
@@ -104,8 +104,8 @@ class Costs(NamedTuple):
     """Hold costs of solids.
 
     cost: (n,) float64, nats against a floor without an object, negative if the solid explains more; FORBIDDEN if the
-    solid reaches the track, is nearly as high as the sonar, has no visible highlight (4 pixels, 1.3 times the floor) or
-    shadow (8 pixels, 0.6 times).
+    solid reaches the track, is nearly as high as the sonar, leaves no pixel of floor, or has no visible highlight (4
+    pixels, 1.3 times the floor) or shadow (8 pixels, 0.6 times).
 
     mean: (n, 3) float64 of highlight, shadow and floor, relative to the image's mean; NaN where the cost is FORBIDDEN.
     """
@@ -291,7 +291,7 @@ def _costs(
         np.column_stack((part, of_all - part.sum(axis=1))) for part, of_all in zip(parts, whole, strict=True)
     )
     mean = np.maximum(np.divide(total, count, out=np.zeros(count.shape), where=count > 0.0), MIN_MEAN)
-    visible = (count[:, 0] >= _MIN_HIGHLIGHT) & (count[:, 1] >= _MIN_SHADOW) & (count[:, 2] > 0.0)
+    visible = (count[:, 0] >= _MIN_HIGHLIGHT) & (count[:, 1] >= _MIN_SHADOW) & (count[:, 2] >= _MIN_FLOOR)
     share = np.eye(3)
     if beam.share.size > 1:
         count, total = _mixtures(ends, which, row, n, image, whole)

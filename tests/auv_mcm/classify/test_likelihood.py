@@ -256,6 +256,22 @@ def test_solids_at_the_track_or_as_high_as_the_sonar_are_forbidden() -> None:
             assert np.isnan(costs.mean).all()
 
 
+def test_a_solid_that_leaves_no_floor_in_the_image_is_forbidden() -> None:
+    """The object and its shadow fill it all: what is left of it for a floor is rounding."""
+    random = random_numbers(3)
+    region = msgspec.structs.replace(
+        picture(8),
+        intensity=random.exponential(size=(11, 33)) * np.where(np.arange(33) < 13, 6.0, 0.1),
+        valid=np.ones((11, 33), dtype=np.bool_),
+        first_ground_range_m=8.0,
+        altitude_m=3.2,
+    )
+    hypotheses = np.tile([0.66, 8.2, 1.0, 1.0, 1.2, 0.5 * math.pi, 0.0, 0.0], (400, 1))
+    hypotheses[:, :2] += random.uniform((-0.1, 0.0), (0.1, 0.3), (400, 2))
+    for costs in (shape_costs, shape_costs_numpy):
+        assert (costs("cylinder", hypotheses, sums_of(region)).cost == FORBIDDEN).all()
+
+
 def test_squinted_rows_are_slices_again() -> None:
     shape = Cylinder(radius_m=0.27, length_m=1.8, azimuth_rad=0.3)
     squint = 0.12
