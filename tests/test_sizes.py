@@ -30,7 +30,7 @@ class Limit(NamedTuple):
 LINES: Final = {
     "auv_mcm": Limit(42_830, 35_500),
     "drivers": Limit(18_800, 15_500),
-    "sim_replay": Limit(54_340, 42_000),
+    "sim_replay": Limit(54_350, 42_000),
     "sim_replay/augment": Limit(2_230, 2_400),
     "sim_replay/batch": Limit(630, 600),
     "sim_replay/benches": Limit(7_780, 6_000),

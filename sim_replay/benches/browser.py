@@ -25,6 +25,7 @@ from sim_replay.view.server import MissionServer
 _NAMES: Final = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome", "chrome")
 _PATIENCE_S: Final = 60.0  # s for the browser to start, and for anything on the page to happen, on a busy computer
 _POLL_S: Final = 0.02  # s between two looks at the page
+_REPLACED: Final = "target navigated or closed"  # what Chromium answers for a script whose page is left meanwhile
 _KEYS: Final = {"Enter": "\r", "Escape": "", "ArrowDown": "", "ArrowUp": "", "ArrowLeft": "", "ArrowRight": ""}
 
 
@@ -69,11 +70,20 @@ class BrowserPage:
         """Wait until JavaScript gives something true and return it. Raises TimeoutError that names it."""
         try:
             async with asyncio.timeout(_PATIENCE_S):
-                while not (found := await self.evaluate(script)):
+                while not (found := await self._evaluated_here(script)):
                     await asyncio.sleep(_POLL_S)
         except TimeoutError as error:
             raise TimeoutError(f"the page never came to: {script}; it complains: {self.complaints}") from error
         return found
+
+    async def _evaluated_here(self, script: str) -> Any:
+        """Evaluate JavaScript; None where the page loads itself again meanwhile."""
+        try:
+            return await self.evaluate(script)
+        except RuntimeError as error:
+            if _REPLACED not in str(error):
+                raise
+            return None
 
     async def open(self, url: str) -> None:
         """Go to an address and wait until it is loaded."""
