@@ -1,4 +1,4 @@
-"""Find what a run did not do although its scenario says so: without its fault, a run without harm is no evidence."""
+"""Find what a run did not do although its scenario says so: without its fault, a run without harm proves nothing."""
 
 from __future__ import annotations
 

@@ -424,7 +424,7 @@ class ShownMission:
             **about,
         )
         if verdict.withdrawn and (earlier is None or earlier.by != verdict.by):
-            why = "there is no verdict of yours" if earlier is None else f"{earlier.by} judged this"
+            why = "you did not judge this" if earlier is None else f"{earlier.by} judged this"
             raise UsageError(f"{why}: nobody withdraws what others judged. Judge it yourself: the last verdict counts.")
         if verdict.drawn and earlier is None:
             self._check_apart(verdict)

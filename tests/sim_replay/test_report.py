@@ -274,7 +274,7 @@ def test_a_mission_without_anything_gives_a_proper_page() -> None:
         "no time was recorded",
         "No position was recorded",
         "No mine-like contact was found",
-        "No sea floor was seen, so there is no waterfall",
+        "No sea floor was seen: the waterfall is empty",
         "Nothing was lost",
     ):
         assert expected in page.text

@@ -375,7 +375,7 @@ def test_nmea_2000_units_can_report_the_vehicles_state() -> None:
 
     assert reported(n2k.Heading(NAN, 1.25, NAN, NAN, 0.0), 1.0) == []
     assert reported(n2k.WaterDepth(NAN, 5.25, 0.0, NAN), 1.1) == []
-    assert reported(n2k.WaterDepth(NAN, 0.0, 0.0, NAN), 1.15) == [], "no bottom found, which is no altitude"
+    assert reported(n2k.WaterDepth(NAN, 0.0, 0.0, NAN), 1.15) == [], "a bottom not found gives no altitude"
     assert reported(n2k.RapidPosition(114.0, 10.0), 1.15) == [], "impossible"
     assert reported(n2k.RapidPosition(54.0, 10.0), 1.2, source=13) == [], "a unit that was not named"
     [event] = reported(n2k.RapidPosition(54.0, 10.0), 1.2)

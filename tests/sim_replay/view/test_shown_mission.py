@@ -221,7 +221,7 @@ def test_a_withdrawn_verdict_is_gone_from_the_list_and_kept_in_the_file(tmp_path
     mission.judge(Judgement(contact_id="C00001", withdrawn=True))
     assert mission.contacts()["verdicts"] == {}
     assert len(read_verdicts(tmp_path)) == 2
-    with pytest.raises(UsageError, match="no verdict of yours"):
+    with pytest.raises(UsageError, match="you did not judge this"):
         mission.judge(Judgement(contact_id="C00001", withdrawn=True))
 
 
