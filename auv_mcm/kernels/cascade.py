@@ -106,9 +106,7 @@ def encode_numpy(
     return np.asarray(np.rint(bounded * np.float32(CODE_OF_MEAN)), dtype=np.uint16), valid
 
 
-def integral(
-    values: NDArray[Any], margins: tuple[int, int, int], beyond: int, out: NDArray[np.uint32] | None = None
-) -> NDArray[np.uint32]:
+def integral(values: NDArray[Any], margins: tuple[int, int, int], beyond: int) -> NDArray[np.uint32]:
     """Compute the integral image modulo 2**32 of a plane that goes on as `beyond` in its margins.
 
     Returns (n_rows + 2 rows + 1, n_columns + before + behind + 1) uint32; element (i, j) is the sum over the padded
@@ -120,43 +118,29 @@ def integral(
         (n_rows, n_columns) uint16, or bool.
     margins
         Rows either way, columns before, columns behind.
-    out
-        Where to put it, as is worth while many times over since fresh memory costs as much as the sums.
 
     Raises
     ------
     ValueError
-        For other types and for an `out` of another shape, type or order.
+        For other types.
     """
-    shape = integral_shape(values, margins)
-    if out is None:
-        out = np.empty(shape, dtype=np.uint32)
-    if out.shape != shape or out.dtype != np.uint32 or not out.flags.c_contiguous:
-        raise ValueError(f"out must be {shape} uint32, rows one after the other, not {out.shape} {out.dtype}")
     if values.dtype not in (np.dtype(np.uint16), np.dtype(np.bool_)):
         raise ValueError(f"values must be uint16 or bool, not {values.dtype}")
+    rows, before, behind = margins
+    sums = np.empty((values.shape[0] + 2 * rows + 1, values.shape[1] + before + behind + 1), dtype=np.uint32)
     name = "cascade_sums" if values.dtype == np.uint16 else "cascade_counts"
-    if not call(name, *values.shape, *margins, beyond, values, out):
-        return integral_numpy(values, margins, beyond, out)
-    return out
+    if not call(name, *values.shape, *margins, beyond, values, sums):
+        return integral_numpy(values, margins, beyond)
+    return sums
 
 
-def integral_shape(values: NDArray[Any], margins: tuple[int, int, int]) -> tuple[int, int]:
-    """Compute the shape of the integral image of a plane with these margins."""
-    n_rows, n_columns = values.shape
-    return n_rows + 2 * margins[0] + 1, n_columns + margins[1] + margins[2] + 1
-
-
-def integral_numpy(
-    values: NDArray[Any], margins: tuple[int, int, int], beyond: int, out: NDArray[np.uint32]
-) -> NDArray[np.uint32]:
+def integral_numpy(values: NDArray[Any], margins: tuple[int, int, int], beyond: int) -> NDArray[np.uint32]:
     """Do as integral, in numpy alone."""
-    rows, near, _ = margins
-    padded = np.full((out.shape[0] - 1, out.shape[1] - 1), beyond, dtype=np.uint32)
-    padded[rows : rows + values.shape[0], near : near + values.shape[1]] = values
-    out[0], out[:, 0] = 0, 0
-    np.cumsum(np.cumsum(padded, axis=1, dtype=np.uint32), axis=0, dtype=np.uint32, out=out[1:, 1:])
-    return out
+    rows, before, behind = margins
+    padded = np.pad(values.astype(np.uint32), ((rows, rows), (before, behind)), constant_values=beyond)
+    sums = np.zeros((padded.shape[0] + 1, padded.shape[1] + 1), dtype=np.uint32)
+    np.cumsum(np.cumsum(padded, axis=1, dtype=np.uint32), axis=0, dtype=np.uint32, out=sums[1:, 1:])
+    return sums
 
 
 def open_windows(field: WindowField, tables: Tables, n_groups: int) -> Opened:

@@ -30,14 +30,12 @@ from auv_mcm.detect.detect_tile import TileDetections, detect_tile
 from auv_mcm.records import LOW_RESOLUTION, SATURATED, TURN, VALID, Tile
 from auv_mcm.settings.config import Config, DetectConfig
 from sim_replay.benches.stability.rows import random_of
+from tests.auv_mcm.detect.drawn_cascade import BEFORE, HIGHLIGHT, SHADOW
 from tests.make.models import model_with
 from tests.stability.tile_pictures import COLUMN_M, PICTURES, ROW_M, SHAPE, holes, speckle, tile_of, with_object
 
 Codes = NDArray[np.uint16]
 
-HIGHLIGHT = FeatureBox(-0.18, 0.18, -0.15, 0.0, 0.15, 0.0)
-BEFORE = FeatureBox(-0.5, 0.5, -0.9, 0.0, -0.4, 0.0)
-SHADOW = FeatureBox(-0.18, 0.18, 0.3, 0.0, 0.3, 0.8)
 ANY_SCORE = -MAX_STUMPS * MAX_LEAF
 CONFIG = Config(detect=DetectConfig(max_candidates_per_tile=40))
 

@@ -16,12 +16,10 @@ SPEED_MPS = 1.8
 Plane = NDArray[np.float32]
 
 
-def straight_track(
-    n_rows: int, row_m: float = ROW_M, *, first_row: int = 0, latitude_deg: float = 43.7, longitude_deg: float = 10.3
-) -> PoseTrack:
-    """North at constant speed, one pose per row centre; row 0 of the mission at the given place and time 1000 s."""
+def straight_track(n_rows: int, row_m: float = ROW_M, *, first_row: int = 0) -> PoseTrack:
+    """North at constant speed, one pose per row centre; row 0 of the mission at 43.7, 10.3 and time 1000 s."""
     even = {"speed_mps": SPEED_MPS, "start_s": 1000.0, "depth_m": 20.0, "altitude_m": FIRST_RETURN_M}
-    return straight_pose(n_rows, row_m, (latitude_deg, longitude_deg), first_row=first_row, **even)
+    return straight_pose(n_rows, row_m, (43.7, 10.3), first_row=first_row, **even)
 
 
 def make_tile(
@@ -55,13 +53,11 @@ def make_tile(
     )
 
 
-def speckle(
-    seed: int, shape: tuple[int, int], *, spread_pixels: float = 0.0, texture_nu: float = 0.0, texture_pixels: int = 8
-) -> Plane:
+def speckle(seed: int, shape: tuple[int, int], *, spread_pixels: float = 0.0, texture_nu: float = 0.0) -> Plane:
     """Single-look intensity of mean 1: |complex Gaussian field|^2.
 
     spread_pixels: 1-sigma along columns of the Gaussian point-spread function the field is smeared by. texture_nu:
-    shape of a Gamma-distributed texture in square cells (K-distributed intensity), 0 for none.
+    shape of a Gamma-distributed texture in cells of 8 by 8 pixels (K-distributed intensity), 0 for none.
     """
     random = np.random.default_rng(seed)
     reach = int(np.ceil(4.0 * spread_pixels))
@@ -72,8 +68,6 @@ def speckle(
         field = sum(weight * field[:, :, k : k + shape[1]] for k, weight in enumerate(kernel))
     intensity = 0.5 * (field**2).sum(axis=0)
     if texture_nu:
-        cells = random.gamma(
-            texture_nu, 1.0 / texture_nu, (-(-shape[0] // texture_pixels), -(-shape[1] // texture_pixels))
-        )
-        intensity *= np.kron(cells, np.ones((texture_pixels, texture_pixels)))[: shape[0], : shape[1]]
+        cells = random.gamma(texture_nu, 1.0 / texture_nu, (-(-shape[0] // 8), -(-shape[1] // 8)))
+        intensity *= np.kron(cells, np.ones((8, 8)))[: shape[0], : shape[1]]
     return np.asarray(intensity, dtype=np.float32)

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from auv_mcm.detect.candidates import STEP_M, TileCandidates, by_both, by_contrast
+from auv_mcm.detect.candidates import STEP_M, Candidate, TileCandidates, by_both, by_contrast
 from auv_mcm.detect.cascade.peaks import spaced_apart
 from auv_mcm.detect.cascade.run import core_plane, trace_plane
 from auv_mcm.detect.contrasts import contrasts
@@ -26,9 +26,9 @@ PLACES = [(40, 120), (90, 200), (140, 150)]
 CONFIG = Config()
 
 
-def scene(n_objects: int = 3, n_rows: int = 180) -> Tile:
-    plane = speckle(3, (n_rows, 320), spread_pixels=1.0)
-    for row, column in PLACES[:n_objects]:
+def scene() -> Tile:
+    plane = speckle(3, (180, 320), spread_pixels=1.0)
+    for row, column in PLACES:
         plane[row - 2 : row + 3, column - 3 : column + 4] *= 20.0
         plane[row - 2 : row + 3, column + 4 : column + 34] *= 0.02
     return make_tile(plane)
@@ -36,6 +36,10 @@ def scene(n_objects: int = 3, n_rows: int = 180) -> Tile:
 
 def found(tile: Tile, max_evaluations: int | None = None, most: int = 256, gate: Gate | None = None) -> TileCandidates:
     return by_both(tile, MODEL, DetectConfig(max_candidates_per_tile=most), max_evaluations, gate, 0.5)
+
+
+def at(some: list[Candidate], row: int, column: int) -> Candidate:
+    return next(c for c in some if abs(c.peak.row - row) * ROW_M < 0.5 and abs(c.peak.column - column) * COLUMN_M < 0.5)
 
 
 def gate_at(contrast: float) -> Gate:
@@ -49,9 +53,7 @@ def test_objects_are_found_where_they_are_with_score_odds_and_the_floor_around_t
     floor = contrasts(tile, 1e-4).floor
     best = found(tile).candidates
     for row, column in PLACES:
-        candidate = next(
-            c for c in best if abs(c.peak.row - row) * ROW_M < 0.5 and abs(c.peak.column - column) * COLUMN_M < 0.5
-        )
+        candidate = at(best, row, column)
         assert candidate.cascade_score == 3.0
         assert candidate.odds == 6.0
         assert candidate.peak.score > 5.0
@@ -87,13 +89,7 @@ def test_a_budget_is_kept_and_what_it_cut_is_counted() -> None:
 def test_without_any_budget_clear_peaks_of_contrast_keep_the_cascades_score() -> None:
     whole, none = found(scene()).candidates, found(scene(), 0).candidates
     for row, column in PLACES:
-        here, before = (
-            next(
-                c for c in some if abs(c.peak.row - row) * ROW_M < 0.5 and abs(c.peak.column - column) * COLUMN_M < 0.5
-            )
-            for some in (none, whole)
-        )
-        assert here.cascade_score == before.cascade_score == 3.0
+        assert at(none, row, column).cascade_score == at(whole, row, column).cascade_score == 3.0
 
 
 def test_detections_carry_the_cascades_score_and_rank_by_it() -> None:

@@ -28,9 +28,9 @@ CONFIG = Config()
 HOME = LocalFrame(latitude_deg=43.7, longitude_deg=10.3)
 
 
-def with_object(seed: int, row: int, column: int, shape: tuple[int, int] = (120, 300)) -> Plane:
+def with_object(seed: int, row: int, column: int) -> Plane:
     """A box five rows by six columns, its highlight's centre at (row + 2.5, column + 3), with a shadow 1.2 m long."""
-    plane = speckle(seed, shape, spread_pixels=1.0)
+    plane = speckle(seed, (120, 300), spread_pixels=1.0)
     plane[row : row + 5, column : column + 6] *= 12.0
     plane[row : row + 5, column + 6 : column + 26] *= 0.03
     return plane

@@ -208,8 +208,8 @@ def test_order_within_a_tile_does_not_matter(seed: int) -> None:
     assert results[0] == results[1]
 
 
-def alone(detections: list[Detection], config: DetectConfig | None = None) -> list[Detection]:
-    suppressor = Suppressor(config or DetectConfig(), ROW_M, Counter())
+def alone(detections: list[Detection]) -> list[Detection]:
+    suppressor = Suppressor(DetectConfig(), ROW_M, Counter())
     return suppressor.add(tuple(detections), 0.0) + suppressor.flush()
 
 
