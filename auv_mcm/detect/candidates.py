@@ -174,7 +174,7 @@ def by_both(
         n_windows=passed.n_windows,
         n_evaluations=passed.n_evaluations + n_spent,
         n_cut=passed.n_cut,
-        n_rejected=passed.n_windows - passed.n_cut - passed.n_alive[-2] if len(passed.n_alive) > 1 else 0,
+        n_rejected=passed.n_rejected,
         n_bounded=contrast.n_bounded,
         clear_contrasts=clear_alone,
     )

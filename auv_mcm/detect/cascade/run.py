@@ -38,6 +38,7 @@ class CascadeResult(NamedTuple):
 
     n_windows: that there are in the tile. n_evaluations: made, never more than the budget. n_cut: windows dropped
     because the budget was used up; evaluated_fraction: of the windows, the others. n_alive: after each group.
+    n_rejected: windows that it rejected before its last group.
     """
 
     rows: NDArray[np.int32]
@@ -48,6 +49,7 @@ class CascadeResult(NamedTuple):
     n_cut: int
     evaluated_fraction: float
     n_alive: tuple[int, ...]
+    n_rejected: int
 
 
 def core_plane(tile: Tile) -> CodePlane:
@@ -82,6 +84,7 @@ def run_plane(plane: CodePlane, model: CascadeModel, max_evaluations: int | None
         n_cut=n_cut,
         evaluated_fraction=1.0 - n_cut / max(n_windows, 1),
         n_alive=tuple(run.n_alive.tolist()),
+        n_rejected=n_windows - n_cut - run.n_in_last,
     )
 
 
@@ -157,12 +160,12 @@ def tables_of(model: CascadeModel, row_spacing_m: float, column_spacing_m: float
 
 
 class _Run:
-    """Run a model over a plane and keep count: evaluations made so far, windows alive after each group."""
+    """Run a model over a plane and keep count: evaluations made, windows alive after each group and in the last one."""
 
     def __init__(self, plane: CodePlane, model: CascadeModel, max_evaluations: int | None) -> None:
         stride = plane.sums.shape[1]
         self.corner = plane.margin_rows * stride + plane.margin_near
-        self.n_evaluations = 0
+        self.n_evaluations = self.n_in_last = 0
         self.n_alive = np.zeros(len(model.groups), dtype=np.int64)
         self._plane = plane
         self._tables = tables_of(model, plane.row_spacing_m, plane.column_spacing_m, stride)
@@ -244,6 +247,8 @@ class _Run:
         entered = np.concatenate(([n_windows], n_alive))[: len(n_alive)]
         self.n_evaluations += int(entered @ self._sizes[first:last])
         self.n_alive[first:last] += n_alive
+        if last == len(self._sizes):
+            self.n_in_last += int(entered[-1])
 
 
 def _some(windows: Windows, chosen: NDArray[np.bool_]) -> Windows:

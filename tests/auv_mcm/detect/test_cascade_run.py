@@ -72,6 +72,17 @@ def test_a_larger_budget_loses_no_window(seed: int, share: float) -> None:
         assert less.n_cut >= more.n_cut
 
 
+@pytest.mark.parametrize("sizes", [(16, 8), (4, 4), (2, 3, 9, 7, 12), (8,)])
+def test_no_window_that_the_budget_cuts_counts_as_rejected_or_as_seen_by_the_last_group(sizes: tuple[int, ...]) -> None:
+    plane, model = draw_ground(29, 40, 60).plane(), draw_model(29, sizes=sizes)
+    whole = run_plane(plane, model, None)
+    entered = (whole.n_windows, *whole.n_alive)
+    assert whole.n_rejected == whole.n_windows - entered[-2]
+    for share in np.linspace(0.0, 1.0, 12):
+        less = run_plane(plane, model, int(share * whole.n_evaluations))
+        assert 0 <= less.n_rejected <= min(whole.n_rejected, less.n_windows - less.n_cut)
+
+
 def test_the_best_of_the_opening_go_on_when_the_budget_does_not_last_for_all() -> None:
     plane = draw_ground(3, 40, 60).plane()
     model = draw_model(3, reject=-(10**6))
