@@ -86,7 +86,7 @@ def ping_windows(samples: Values, n_part: int, n_cells: int, lags: Sequence[int]
 
 def ping_windows_numpy(samples: Values, n_part: int, n_cells: int, lags: Sequence[int], largest: float) -> WindowTable:
     """Do as ping_windows, in numpy alone."""
-    x = samples
+    x = np.ascontiguousarray(samples, dtype=np.float64)
     n_columns = x.shape[1]
     n_parts = n_columns // n_part
     by_part = x.reshape(BLOCK_PINGS, n_parts, n_part)

@@ -76,7 +76,7 @@ def trws(
     if messages is not None and messages.shape != shape:
         raise ValueError(f"messages must have shape {shape} for this grid, not {messages.shape}")
     start = np.zeros(shape) if messages is None else np.array(messages, dtype=np.float64, order="C")  # updated in place
-    labels = np.empty((n_rows, n_columns), dtype=np.uint8)
+    labels = np.zeros((n_rows, n_columns), dtype=np.uint8)  # left so where costs are too large to be added up
     scratch = np.empty_like(labels)
     trace = np.empty((n_sweeps, 2))
     done = np.zeros(1, dtype=np.int64)

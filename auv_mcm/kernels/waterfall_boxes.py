@@ -78,7 +78,7 @@ def bright_spots_numpy(
     """Do as bright_spots, in numpy alone."""
     mean, _ = _box_means(logarithms, usable, half)
     limit = mean + above
-    found = np.flatnonzero(usable & (logarithms + slack >= np.minimum(limit, highest)))
+    found = np.flatnonzero(usable & (logarithms + np.float64(slack) >= np.minimum(limit, highest)))
     return found.astype(np.int32), limit.ravel()[found]
 
 

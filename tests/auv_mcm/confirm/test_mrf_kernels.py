@@ -164,7 +164,9 @@ def test_c_and_numpy_agree_to_the_bit(
 
 
 def test_equal_costs_give_the_smaller_label() -> None:
-    assert not trws(np.ones((4, 5, 3)), np.ones(4), 2).labels.any()
+    for cost in (1.0, 1e308):  # of an infinite sum
+        assert np.full((4, 5), 255, dtype=np.uint8).all()  # in memory that the labels may then lie in
+        assert not trws(np.full((4, 5, 3), cost), np.ones(4), 2).labels.any()
 
 
 @pytest.mark.parametrize(

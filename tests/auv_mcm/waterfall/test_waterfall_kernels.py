@@ -171,7 +171,9 @@ def test_c_levels_as_numpy_does(seed: int, shape: tuple[int, int], half: tuple[i
     intensity, usable, mask = drawn(seed, shape)
     same(*(pick(intensity, mask, 0.05, 20.0) for pick in (boxes.usable_pixels, boxes.usable_pixels_numpy)))
     logarithms = np.log(np.clip(intensity, np.float32(0.05), np.float32(20.0))) * usable
-    same(*(spots(logarithms, usable, half, 2.4, 3.0, 1e-3) for spots in (boxes.bright_spots, boxes.bright_spots_numpy)))
+    reached = float(logarithms.max()) + 1e-3  # just, in float64
+    for rule in ((2.4, 3.0, 1e-3), (1e3, reached, 1e-3)):
+        same(*(spots(logarithms, usable, half, *rule) for spots in (boxes.bright_spots, boxes.bright_spots_numpy)))
     same(*(level(intensity, usable, half, 0.25) for level in (boxes.box_level, boxes.box_level_numpy)))
     columns = np.arange(0, shape[1], 3)
     both = boxes.divide_by_level, boxes.divide_by_level_numpy
