@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
 
@@ -47,8 +46,8 @@ def test_a_row_that_fails_ends_the_bench_with_code_5(
     monkeypatch.setattr(bench, "every_row", lambda: [row])
     assert main(["bench", "all", "--stress", "--quick", "--json", str(tmp_path / "found.json")]) == code
     assert ("FAILED" in capsys.readouterr().out) == (code == 5)
-    (written,) = json.loads((tmp_path / "found.json").read_text())["stress"]
-    assert written["bound"] == 1e-9
+    (written,) = bench.read_every_stage(tmp_path / "found.json").stress
+    assert (written.bound, written.holds) == (1e-9, code == 0)
 
 
 def test_short_shadows_keep_the_digits_of_their_height() -> None:

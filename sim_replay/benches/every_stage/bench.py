@@ -35,10 +35,7 @@ _SAME_ERROR: Final = 1e-9  # relative, and absolute: rounding is no change of an
 
 
 class EveryStageResults(msgspec.Struct, frozen=True, kw_only=True):
-    """Hold one run of the bench. n_inputs: per row; stages: by name; stress: rows under stress, if they were asked for.
-
-    Infinite errors are written as null.
-    """
+    """Hold one run of the bench. n_inputs: per row; stages: by name; stress: rows under stress, if asked for."""
 
     format_version: int = _FORMAT_VERSION
     machine: BenchMachine
@@ -74,6 +71,8 @@ def run(arguments: argparse.Namespace) -> int:
     unknown = [name for name in chosen if name not in STAGES]
     if unknown:
         raise UsageError(f"--stages: there is no '{unknown[0]}'; the stages are {', '.join(STAGES)}")
+    if arguments.stress and arguments.compare is not None:
+        raise UsageError("--compare goes by times and errors of stages, which --stress does not measure: leave one out")
     old = None if arguments.compare is None else read_every_stage(arguments.compare)
     n_inputs, repeat = _QUICK if arguments.quick else (_N_INPUTS, arguments.repeat)
     load, rows, stress = os.getloadavg()[0], list[StageRow](), list[NumberResult]()
@@ -175,8 +174,8 @@ def moved_since(old: EveryStageResults, new: EveryStageResults) -> list[str]:
         if abs(math.log(now / then)) > _MIN_CHANGE and (lowest > high or highest < low):
             beside = "ms" if _alternative_ms(row) is None else "of the alternative"
             lines.append(f"{name}: time {then:.3g} -> {now:.3g} {beside} ({now / then - 1.0:+.0%})")
-    lines += [f"{row.stage}, {row.setting}: no longer measured" for row in before.values() if row.stage in new.stages]
-    return lines
+    asked = {row.stage for row in new.rows}
+    return lines + [f"{row.stage}, {row.setting}: no longer measured" for row in before.values() if row.stage in asked]
 
 
 def _key(row: StageRow) -> tuple[str, ...]:

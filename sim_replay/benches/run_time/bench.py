@@ -42,7 +42,7 @@ _FAILED: Final = 5  # exit code of a check that fails
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the options of `auv-mcm bench run_time`."""
+    """Add the options of `auv-mcm bench chain`."""
     parser.add_argument(
         "--scenes", help=f"scenes by name, with commas between (default: {','.join(SCANNED)}; with --targets all ten)"
     )

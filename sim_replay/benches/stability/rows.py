@@ -79,40 +79,34 @@ def each(
 
 
 class NumberResult(msgspec.Struct, frozen=True):
-    """Hold a measured row. exceptions: floating-point exceptions that numpy raised."""
+    """Hold a measured row. exceptions: floating-point exceptions that numpy raised.
+
+    error, condition, single: as in Found, None where they are no finite number, which JSON cannot hold.
+    """
 
     stage: str
     inputs: str
     reference: str
     unit: str
-    error: float
+    error: float | None
     bound: float
-    condition: float
-    single: float
+    condition: float | None
+    single: float | None
     exceptions: tuple[str, ...]
 
     @property
     def holds(self) -> bool:
         """Check whether the error is within its bound and no exception was raised but underflow."""
-        return self.error <= self.bound and not set(self.exceptions) - {_ALLOWED}
+        return self.error is not None and self.error <= self.bound and not set(self.exceptions) - {_ALLOWED}
 
 
 def measure_row(row: NumberRow, quick: bool) -> NumberResult:
     """Measure one row."""
     watch = Watch()
     with mpmath.workdps(DIGITS):
-        found = row.measure(watch, quick)
-    return NumberResult(
-        row.stage,
-        row.inputs,
-        row.reference,
-        row.unit,
-        found.error,
-        row.bound,
-        found.condition,
-        found.single,
-        tuple(sorted(watch.raised)),
-    )
+        error, condition, single = (value if math.isfinite(value) else None for value in row.measure(watch, quick))
+    names = row.stage, row.inputs, row.reference, row.unit
+    return NumberResult(*names, error, row.bound, condition, single, tuple(sorted(watch.raised)))
 
 
 def exact(value: Exact) -> mpmath.mpf:
@@ -168,7 +162,7 @@ def stress_cells(result: NumberResult) -> list[str]:
         result.stage,
         result.inputs,
         result.reference,
-        f"{_number(result.error)}{unit}",
+        "infinite" if result.error is None else f"{_number(result.error)}{unit}",
         _number(result.bound),
         _number(result.single),
         _number(result.condition),
@@ -177,7 +171,7 @@ def stress_cells(result: NumberResult) -> list[str]:
     ]
 
 
-def _number(value: float) -> str:
-    if math.isnan(value):
+def _number(value: float | None) -> str:
+    if value is None:
         return ""
     return f"{value:.0f}" if value == 0.0 else f"{value:.1e}"

@@ -42,7 +42,11 @@ def test_a_stage_that_errs_more_than_its_limit_ends_with_code_5(monkeypatch: pyt
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
-    [(["--stages", "nothing"], "there is no 'nothing'"), (["--compare", "nowhere.json"], "cannot be read")],
+    [
+        (["--stages", "nothing"], "there is no 'nothing'"),
+        (["--compare", "nowhere.json"], "cannot be read"),
+        (["--compare", "nowhere.json", "--stress"], "leave one out"),
+    ],
 )
 def test_what_cannot_be_measured_is_refused(
     arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
@@ -62,7 +66,7 @@ def results(*rows: StageRow) -> EveryStageResults:
     machine = msgspec.convert(
         {"processor": "", "cores": 1, "kernels": "c", "versions": {}, "date": "", "load": (0.0, 0.0)}, BenchMachine
     )
-    return EveryStageResults(machine=machine, n_inputs=1, repeat=3, stages=("made here",), rows=rows)
+    return EveryStageResults(machine=machine, n_inputs=1, repeat=3, stages=("made",), rows=rows)
 
 
 @pytest.mark.parametrize(
@@ -78,6 +82,8 @@ def results(*rows: StageRow) -> EveryStageResults:
 def test_a_comparison_says_what_moved_and_nothing_else(now: StageRow, words: str) -> None:
     said = "\n".join(moved_since(results(row()), results(now)))
     assert (words in said) if words else said == ""
+    both = results(row(), msgspec.structs.replace(row(), setting="gone"))
+    assert moved_since(both, results(row())) == ["made here, gone: no longer measured"]
 
 
 def test_a_history_has_a_row_per_stage_and_a_dash_where_one_was_not_measured() -> None:
