@@ -92,7 +92,7 @@ class BrowserPage:
 
     async def click(self, x: float, y: float) -> None:
         """Click at a point of the window."""
-        await self.command("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=y)
+        await self.move(x, y)
         for kind in ("mousePressed", "mouseReleased"):
             await self.command("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", buttons=1, clickCount=1)
 

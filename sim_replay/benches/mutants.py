@@ -92,7 +92,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=461,
         help="maximum packets of each log, from its start (default 461)",
     )
-    parser.add_argument("--keep", metavar="DIR", type=Path, help="folder for mutants that fail, with their results")
+    parser.add_argument("--keep", metavar="DIR", type=Path, help="folder for mutants that fail, with what they printed")
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -134,9 +134,8 @@ def test_water_column_only_and_sea_floor_only() -> None:
 # Long missions: nothing is kept in single precision, nothing drifts.
 
 
-@pytest.mark.parametrize("start_m", [0.0, 1e6])
-def test_rows_a_thousand_kilometres_into_a_mission_are_like_the_first(start_m: float) -> None:
-    start_row = round(start_m / 0.125)
+def test_rows_a_thousand_kilometres_into_a_mission_are_like_the_first() -> None:
+    start_m, start_row = 1e6, 8_000_000
     along_m = start_m + 0.7 + 0.2 * np.arange(60, dtype=np.float64)
     image = SideImage(
         np.random.default_rng(0).exponential(size=(60, 5)).astype(np.float32), np.full((60, 5), VALID, dtype=np.uint8)

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from auv_mcm.detect.contrasts import contrasts
 from auv_mcm.records import LOW_RESOLUTION, VALID
 from tests.auv_mcm.detect.scene_tiles import COLUMN_M, ROW_M, make_tile, speckle
-from tests.auv_mcm.detect.test_prescreen import pixels, threshold_of
+from tests.auv_mcm.detect.test_contrasts import threshold_of
+from tests.auv_mcm.detect.test_prescreen import pixels
 
 
 @settings(max_examples=25)
@@ -35,9 +36,9 @@ def test_peaks_are_the_highest_scores_around_in_the_core(seed: int, p_false_alar
     for i, j in np.ndindex(shape):
         around = able[max(i - half_rows, 0) : i + half_rows + 1, max(j - half_columns, 0) : j + half_columns + 1]
         allowed = core[0] <= i < core[1] and mask[i, j] == VALID
-        if allowed and score[i, j] >= np.float32(threshold_of(p_false_alarm)) and score[i, j] == around.max():
+        if allowed and score[i, j] >= threshold_of(p_false_alarm) and score[i, j] == around.max():
             expected.append((-float(score[i, j]), i, j))
-    high = np.where(score >= np.float32(threshold_of(p_false_alarm)), score, np.float32(-np.inf))
+    high = np.where(score >= threshold_of(p_false_alarm), score, np.float32(-np.inf))
     found = contrasts(tile, p_false_alarm)._replace(score=high).peaks(radius_m)
     assert [(-p.score, p.row, p.column) for p in found] == sorted(expected)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import math
 from functools import cache
-from statistics import NormalDist
 from typing import NamedTuple
 
 import cv2
@@ -23,6 +22,7 @@ from auv_mcm.detect.prescreen import CONTEXT_M, Peak
 from auv_mcm.records import LOW_RESOLUTION, SATURATED, VALID, Tile
 from tests.auv_mcm.detect.all_scores import all_scores
 from tests.auv_mcm.detect.scene_tiles import COLUMN_M, ROW_M, Plane, make_tile, speckle
+from tests.auv_mcm.detect.test_contrasts import threshold_of
 
 Values = NDArray[np.float64]
 
@@ -37,10 +37,6 @@ class Slow(NamedTuple):
 
 def pixels(length_m: float, spacing_m: float) -> int:
     return max(1, round(length_m / spacing_m))
-
-
-def threshold_of(p_false_alarm: float) -> float:
-    return NormalDist().inv_cdf(1.0 - p_false_alarm)
 
 
 def deviate(ratio: float, looks: float, background_looks: float) -> float:
