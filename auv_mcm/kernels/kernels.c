@@ -59,10 +59,9 @@ WIDE void auv_mcm_viterbi_forward(int64_t n_pings, int64_t n_bins, int64_t max_s
         }
         for (int64_t bin = 0; bin < n_bins; bin++)
             highest = best[bin] > highest ? best[bin] : highest;
-        /* Only differences matter; taking the maximum off keeps an endless mission's sums small. */
-        if (highest == -INFINITY)
-            highest = 0.0;
+        /* Only differences matter; taking the maximum off keeps an endless mission's sums small. Without one all bins
+         * are alike. */
         for (int64_t bin = 0; bin < n_bins; bin++)
-            cost[bin] = best[bin] - highest;
+            cost[bin] = highest > -INFINITY ? best[bin] - highest : 0.0;
     }
 }

@@ -3,7 +3,7 @@
 The path k maximises  sum_p score[p, k_p] - step_cost * |k_p - k_(p-1)|  over all paths with |k_p - k_(p-1)| <=
 max_step. Among equally good predecessors the smaller step wins, then the smaller bin; among equally good ends, the
 smaller bin. A score of -inf forbids a bin. A ping without data should score 0 everywhere: if every bin of a ping is
-forbidden, or none can be reached, the pings before it have no effect any more.
+forbidden, or none can be reached, the pings before it have no effect on those after.
 
 After each ping the largest cost is taken off all of them, which changes no path and keeps the sums bounded however long
 the mission. C and numpy round alike: same candidates, same order, no fused operations.
@@ -91,7 +91,7 @@ def viterbi_forward_numpy(
                 origin[here][better] = bins[there][better]
         best += score[ping]
         highest = best.max()
-        cost = best - (highest if highest > -np.inf else 0.0)
+        cost = best - highest if highest > -np.inf else np.zeros(n_bins)
         back[ping] = origin
     return cost, back
 

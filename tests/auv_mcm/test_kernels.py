@@ -112,6 +112,12 @@ def test_among_equals_the_smaller_step_wins_then_the_smaller_bin() -> None:
     np.testing.assert_array_equal(viterbi_path(score, 1, 1.0), [1, 2])
 
 
+def test_after_a_ping_that_forbids_every_bin_the_next_ones_are_searched_by_themselves() -> None:
+    score = np.array([[0.0, 3.0, 0.0], [-np.inf] * 3, [0.0, 0.0, 5.0]])
+    assert viterbi_path(score, 1, 1.0).tolist() == [1, 2, 2]
+    np.testing.assert_array_equal(viterbi_forward_numpy(np.zeros(3), score, 1, 1.0)[0], [-5.0, -5.0, 0.0])
+
+
 def test_cost_stays_bounded_however_long_the_mission() -> None:
     score = np.full((5000, 4), 1e6)
     cost, _ = viterbi_forward(np.zeros(4), score, 1, 1.0)
