@@ -147,15 +147,29 @@ class Performance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         ripples of unknown direction as from the worst one, unknown unevenness as usual. Raises ValueError for a seabed
         that is not in SEABED_TYPES.
         """
-        return self._read("p", view)
+        kind, ground, altitude, look, ripple, unevenness_db = np.broadcast_arrays(
+            np.asarray(view.seabed), *(np.asarray(part, dtype=np.float64) for part in view[1:])
+        )
+        if kind.size and not (kind.min() >= 0 and kind.max() < len(SEABED_TYPES)):
+            raise ValueError(
+                f"seabed: {kind.min()} to {kind.max()}, where SEABED_TYPES has 0 to {len(SEABED_TYPES) - 1}"
+            )
+        by_floor = self.p_by_floor(ground, altitude)
+        found = np.zeros(ground.shape)
+        for index, name in enumerate(SEABED_TYPES):
+            here = kind == index
+            found[here] = _of_kind(name, by_floor[:, here], look[here], ripple[here])
+        factor = np.exp(-self.loss_per_db * more_than_usual_db(unevenness_db))
+        return np.asarray(found * factor / (found * factor + (1.0 - found)))
 
-    def interval(self, view: CellView) -> tuple[Array, Array]:
-        """Compute the 95 % interval of what `p_look` may be on average over missions; errors as there."""
-        return self._read("low", view), self._read("high", view)
-
-    def p_by_floor(self, ground_range_m: ArrayLike, altitude_m: float) -> Array:
-        """Read each table at ground ranges (n,): (len(FLOORS), n) probabilities."""
-        return self._by_floor(self._column("p"), self.read_range_m(ground_range_m, altitude_m))
+    def p_by_floor(self, ground_range_m: ArrayLike, altitude_m: ArrayLike) -> Array:
+        """Read each table at ground ranges: (len(FLOORS), ...) probabilities, 0 where no mine is found."""
+        range_m, edges = self.read_range_m(ground_range_m, altitude_m), np.array(self.edges_m)
+        seen = range_m <= edges[-1]
+        within = np.where(seen, range_m, 0.0)
+        middle = 0.5 * (edges[1:] + edges[:-1])
+        table = np.array([[band.p for band in self.floors[floor]] for floor in FLOORS])
+        return np.stack([np.where(seen, np.interp(within, middle, row), 0.0) for row in table])
 
     def read_range_m(self, ground_range_m: ArrayLike, altitude_m: ArrayLike) -> Array:
         """Compute the range at which the tables are read, m.
@@ -169,35 +183,6 @@ class Performance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
             seen = (altitude > 0.0) & (ground * math.tan(STEEPEST_RAD) >= altitude) & np.isfinite(ground)
         scale = (self.altitude_m / np.where(seen, altitude, 1.0)) ** self.altitude_exponent
         return np.where(seen, np.where(seen, ground, 0.0) * scale, np.nan)
-
-    def _column(self, name: Literal["p", "low", "high"]) -> Array:
-        """Stack one field of all bands, (len(FLOORS), n_bands)."""
-        return np.array([[getattr(band, name) for band in self.floors[floor]] for floor in FLOORS])
-
-    def _read(self, field: Literal["p", "low", "high"], view: CellView) -> Array:
-        """Read one field of the bands at each place of a view, its odds divided by what unevenness costs."""
-        kind, ground, altitude, look, ripple, unevenness_db = np.broadcast_arrays(
-            np.asarray(view.seabed), *(np.asarray(part, dtype=np.float64) for part in view[1:])
-        )
-        if kind.size and not (kind.min() >= 0 and kind.max() < len(SEABED_TYPES)):
-            raise ValueError(
-                f"seabed: {kind.min()} to {kind.max()}, where SEABED_TYPES has 0 to {len(SEABED_TYPES) - 1}"
-            )
-        by_floor = self._by_floor(self._column(field), self.read_range_m(ground, altitude))
-        found = np.zeros(ground.shape)
-        for index, name in enumerate(SEABED_TYPES):
-            here = kind == index
-            found[here] = _of_kind(name, by_floor[:, here], look[here], ripple[here])
-        factor = np.exp(-self.loss_per_db * more_than_usual_db(unevenness_db))
-        return np.asarray(found * factor / (found * factor + (1.0 - found)))
-
-    def _by_floor(self, table: Array, range_m: Array) -> Array:
-        """Interpolate values at ranges as read, (len(FLOORS), ...), 0 where no mine is found."""
-        edges = np.array(self.edges_m)
-        seen = range_m <= edges[-1]
-        within = np.where(seen, range_m, 0.0)
-        middle = 0.5 * (edges[1:] + edges[:-1])
-        return np.stack([np.where(seen, np.interp(within, middle, row), 0.0) for row in table])
 
 
 def more_than_usual_db(unevenness_db: ArrayLike) -> Array:

@@ -31,7 +31,6 @@ from auv_mcm.settings.config import Config, SonarConfig
 EDGES_M = (0.0, 10.0, 20.0, 40.0)
 ALTITUDE_M = 6.0
 UNKNOWN = SEABED_TYPES.index("unknown")
-RIPPLE = SEABED_TYPES.index("ripple")
 
 
 def tables(exponent: float = 1.0) -> Performance:
@@ -155,18 +154,9 @@ def test_arrays_of_places_read_as_each_alone(
 
 @settings(max_examples=40)
 @given(PLACES)
-def test_p_is_a_probability_inside_its_interval_and_unknown_is_the_most_cautious(
-    place: tuple[str, float, float, float, float],
-) -> None:
-    reported = tables()
-    _, *where = place
-    p = {name: float(reported.p_look(CellView(index, *where))) for index, name in enumerate(SEABED_TYPES)}
-    for index, name in enumerate(SEABED_TYPES):
-        low, high = (float(end) for end in reported.interval(CellView(index, *where)))
-        assert 0.0 <= low <= p[name] + 1e-12
-        assert p[name] <= high + 1e-12
-        assert high <= 1.0
-    assert p["unknown"] <= min(p.values())
+def test_unknown_is_the_most_cautious(place: tuple[str, float, float, float, float]) -> None:
+    p = [float(tables().p_look(CellView(index, *place[1:]))) for index in range(len(SEABED_TYPES))]
+    assert 0.0 <= p[UNKNOWN] == min(p) <= max(p) <= 1.0
 
 
 @pytest.mark.parametrize(
@@ -188,25 +178,9 @@ def test_nothing_is_found_below_beyond_and_where_range_or_altitude_is_not_known(
 ) -> None:
     for kind in range(len(SEABED_TYPES)):
         assert tables().p_look(CellView(kind, ground_m, altitude_m, 0.0, 0.0)) == 0.0
-        assert max(tables().interval(CellView(kind, ground_m, altitude_m, 0.0, 0.0))) == 0.0
 
 
-def test_a_lower_flight_reads_the_table_farther_out() -> None:
-    reported = tables()
-    assert (
-        reported.p_look(CellView(0, 15.0, 3.0, 0.0, math.nan))
-        == reported.p_look(CellView(0, 30.0, 6.0, 0.0, math.nan))
-        == pytest.approx(0.7)
-    )
-    assert tables(exponent=0.0).p_look(CellView(0, 15.0, 3.0, 0.0, math.nan)) == pytest.approx(0.9)
-
-
-def test_ripples_are_read_by_the_angle_to_them_whichever_way_round() -> None:
-    reported = tables()
-    for turn in (0.0, math.pi):
-        assert reported.p_look(CellView(RIPPLE, 15.0, 6.0, 0.3 + turn, 0.3)) == pytest.approx(0.8)
-        assert reported.p_look(CellView(RIPPLE, 15.0, 6.0, 0.3 + turn + math.pi / 2.0, 0.3)) == pytest.approx(0.2)
-    assert reported.p_look(CellView(RIPPLE, 15.0, 6.0, 0.3, math.nan)) == pytest.approx(0.2)
+def test_the_angle_to_ripples_is_that_to_the_nearest_of_both_ways() -> None:
     assert aspect_rad(3.1, 0.0) == pytest.approx(math.pi - 3.1)
     assert np.isnan(aspect_rad(0.0, math.nan))
 
@@ -284,13 +258,9 @@ def test_each_decibel_more_than_usual_divides_the_odds_by_as_much_and_less_chang
     uneven = msgspec.structs.replace(usual, loss_per_db=loss_per_db)
     there = CellView(0, ground_m, 6.0, 0.0, math.nan)
     uneven_there = there._replace(unevenness_db=unevenness_db)
-    for before, after in (
-        (usual.p_look(there), uneven.p_look(uneven_there)),
-        *zip(usual.interval(there), uneven.interval(uneven_there), strict=True),
-    ):
-        more_db = max(unevenness_db - USUAL_UNEVENNESS_DB, 0.0)
-        odds = float(before) / (1.0 - float(before)) * math.exp(-loss_per_db * more_db)
-        assert float(after) == pytest.approx(odds / (1.0 + odds), rel=1e-9)
+    before, after = float(usual.p_look(there)), float(uneven.p_look(uneven_there))
+    odds = before / (1.0 - before) * math.exp(-loss_per_db * max(unevenness_db - USUAL_UNEVENNESS_DB, 0.0))
+    assert after == pytest.approx(odds / (1.0 + odds), rel=1e-9)
     assert uneven.p_look(there) == usual.p_look(there)  # not measured: as usual
     assert usual.p_look(uneven_there) == pytest.approx(usual.p_look(there))  # tables that know of none
 
