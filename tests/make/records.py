@@ -8,8 +8,9 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from auv_mcm.clearance.clearance_map import Clearance
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import NAN, VALID, CoveragePatch, NavSample, PoseTrack, SurveyedCells, Tile, Waypoint
 from drivers.vehicle.dialect import ContactReport
@@ -129,3 +130,26 @@ def cells_of(places: Mapping[tuple[int, int], float], **columns: Any) -> Surveye
     }
     fraction = np.array(list(places.values()), dtype=np.float32)
     return SurveyedCells(**scalars, east_index=index[:, 0], north_index=index[:, 1], fraction=fraction, **values)
+
+
+def clearance_of(p_detected: ArrayLike, **changes: Any) -> Clearance:
+    """Cells of 4 m from 43° N 5° E on, seen once and wholly; changes as of Clearance."""
+    p = np.asarray(p_detected, dtype=np.float64)
+    nothing = np.full(p.shape, NAN, dtype=np.float32)
+    plain = Clearance(
+        origin_latitude_deg=43.0,
+        origin_longitude_deg=5.0,
+        cell_m=4.0,
+        first_east=0,
+        first_north=0,
+        exponent=-np.log1p(-p),
+        share=np.ones(p.shape, dtype=np.float32),
+        looks=np.ones(p.shape, dtype=np.uint8),
+        towards=np.ones(p.shape, dtype=np.uint64),
+        seabed=np.zeros(p.shape, dtype=np.uint8),
+        ripple_rad=nothing,
+        wavelength_m=nothing,
+        unevenness_db=nothing,
+        altitude_m=nothing,
+    )
+    return msgspec.structs.replace(plain, **changes)

@@ -143,6 +143,31 @@ def test_cells_take_the_kind_that_most_of_them_is() -> None:
     assert cells.unevenness_db[far] == pytest.approx(2.0 + SEABED_TYPES.index("ripple"), abs=1e-6)
 
 
+def test_the_map_of_the_sea_floor_begins_where_the_core_of_its_tile_does() -> None:
+    """The core begins 4.8 m from where cells do, and its first 5 m are flat: of the third cell 1.8 m of 4 are."""
+    tile = tile_of(plain(), core=(40, 180))
+    flat, ripple = SEABED_TYPES.index("flat"), SEABED_TYPES.index("ripple")
+    kind = np.full((4, 4), ripple, dtype=np.uint8)
+    kind[0] = flat
+    cells = cells_of(tile, seabed=seabed_of(tile, kind))
+    for north, commonest, unevenness_db in ((1, flat, 2.0 + flat), (2, ripple, 2.55), (3, ripple, 2.0 + ripple)):
+        there = cells.north_index == north
+        assert set(cells.seabed[there].tolist()) == {commonest}
+        assert cells.unevenness_db[there] == pytest.approx(unevenness_db, abs=0.1), "of all that was seen"
+
+
+def test_rows_that_cannot_be_placed_put_no_cell_anywhere_else() -> None:
+    tile = tile_of(plain())
+    latitude = tile.pose.latitude_deg.copy()
+    latitude[[81, 82, 133]] = math.nan  # within blocks of rows that are placed
+    cells = cells_of(structs.replace(tile, pose=structs.replace(tile.pose, latitude_deg=latitude)))
+    whole = cells_of(tile)
+    assert set(zip(cells.east_index, cells.north_index, strict=True)) == set(
+        zip(whole.east_index, whole.north_index, strict=True)
+    )
+    assert 0.9 < cells.fraction.sum() / whole.fraction.sum() < 1.0
+
+
 def test_without_a_map_of_the_sea_floor_it_is_unknown() -> None:
     cells = cells_of(tile_of(plain()))
     assert set(cells.seabed.tolist()) == {SEABED_TYPES.index("unknown")}

@@ -12,30 +12,8 @@ from hypothesis.extra.numpy import array_shapes, arrays
 from numpy.typing import NDArray
 
 from auv_mcm.clearance.clearance_export import BANDS, band_of, clearance_geojson, rectangles
-from auv_mcm.clearance.clearance_map import Clearance
 from auv_mcm.geometry.geodesy import LocalFrame
-from auv_mcm.records import SEABED_TYPES
-
-
-def clearance(p: NDArray[np.float64], looks: NDArray[np.uint8] | None = None, longitude_deg: float = 5.0) -> Clearance:
-    shape = p.shape
-    nothing = np.full(shape, np.nan, dtype=np.float32)
-    return Clearance(
-        origin_latitude_deg=43.0,
-        origin_longitude_deg=longitude_deg,
-        cell_m=4.0,
-        first_east=-2,
-        first_north=3,
-        exponent=-np.log1p(-p),
-        share=np.ones(shape, dtype=np.float32),
-        looks=np.ones(shape, dtype=np.uint8) if looks is None else looks,
-        towards=np.zeros(shape, dtype=np.uint64),
-        seabed=np.full(shape, SEABED_TYPES.index("flat"), dtype=np.uint8),
-        ripple_rad=nothing,
-        wavelength_m=nothing,
-        unevenness_db=nothing,
-        altitude_m=nothing,
-    )
+from tests.make.records import clearance_of
 
 
 @given(values=arrays(np.int64, array_shapes(min_dims=2, max_dims=2, max_side=9), elements=st.integers(-1, 2)))
@@ -50,7 +28,7 @@ def test_rectangles_hold_every_cell_once_and_nothing_else(values: NDArray[np.int
 
 
 def test_the_map_shows_where_what_was_found_with_which_probability() -> None:
-    reported = json.loads(clearance_geojson(clearance(np.array([[0.1, 0.1, 0.93], [0.1, 0.1, 0.93]]))))
+    reported = json.loads(clearance_geojson(clearance_of([[0.1, 0.1, 0.93]] * 2, first_east=-2, first_north=3)))
     low, high = reported["features"]
     assert low["properties"] == {"seabed": "flat", "p_low": 0.0, "p_high": 0.25, "p_mean": 0.1, "cells": 4, "m2": 64.0}
     assert high["properties"]["p_low"] == 0.9
@@ -61,12 +39,15 @@ def test_the_map_shows_where_what_was_found_with_which_probability() -> None:
 
 def test_what_was_not_seen_is_left_out() -> None:
     assert json.loads(clearance_geojson(None))["features"] == []
-    reported = json.loads(clearance_geojson(clearance(np.full((1, 3), 0.5), np.array([[1, 0, 2]], dtype=np.uint8))))
-    assert sum(each["properties"]["cells"] for each in reported["features"]) == 2
+    half = clearance_of([[0.5] * 3], cell_m=2.0, looks=np.array([[1, 0, 2]], dtype=np.uint8))
+    reported = json.loads(clearance_geojson(half))
+    assert [(each["properties"]["cells"], each["properties"]["m2"]) for each in reported["features"]] == [(1, 4.0)] * 2
 
 
 def test_a_map_across_the_antimeridian_is_cut_there() -> None:
-    reported = json.loads(clearance_geojson(clearance(np.full((2, 9), 0.5), longitude_deg=180.0)))
+    reported = json.loads(
+        clearance_geojson(clearance_of(np.full((2, 9), 0.5), first_east=-2, origin_longitude_deg=180.0))
+    )
     assert reported["features"][0]["geometry"]["type"] == "MultiPolygon"
 
 

@@ -47,13 +47,14 @@ def patch(
     seabed: SeabedType = "flat",
     confidence: float = 0.9,
     unevenness_db: float = math.nan,
+    altitude_m: float = 5.0,
     origin_deg: float = 43.0,
 ) -> CoveragePatch:
     cells = cells_of(
         {(place[0], place[1]): place[2] for place in reported.places},
         origin_latitude_deg=origin_deg,
         ground_range_m=[place[3] for place in reported.places],
-        altitude_m=5.0,
+        altitude_m=altitude_m,
         look_rad=math.radians(reported.look_deg),
         seabed=SEABED_TYPES.index(seabed),
         confidence=confidence,
@@ -214,9 +215,11 @@ def test_the_surest_look_shows_the_sea_floor() -> None:
         patch(Reported(0.0, "port", 0.0, place), seabed="rough", confidence=0.6),
         patch(Reported(500.0, "port", 90.0, place), seabed="ripple", confidence=0.8, unevenness_db=3.5),
         patch(Reported(900.0, "port", 180.0, place), seabed="flat", confidence=0.7),
+        patch(Reported(1300.0, "port", 270.0, [(0, 0, 0.1, 25.0)]), seabed="flat", confidence=0.9, altitude_m=15.0),
     )
     assert SEABED_TYPES[int(reported.seabed[0, 0])] == "ripple"
     assert reported.unevenness_db[0, 0] == 3.5
+    assert reported.altitude_m[0, 0] == pytest.approx((3.0 * 5.0 + 0.1 * 15.0) / 3.1)
 
 
 def test_nothing_seen_is_no_map_and_empty_patches_add_nothing() -> None:
@@ -270,8 +273,8 @@ def test_cells_seen_far_from_the_others_are_not_laid_out_but_counted() -> None:
 
 
 def test_a_place_that_is_passed_very_often_costs_no_memory_for_all_others() -> None:
-    """The way to the area, or the place of recovery: 120 passes over one cell beside 30,000 seen once."""
-    home = [patch(Reported(100.0 * k, "port", 7.0 * k, [(0, 0, 1.0, 40.0)])) for k in range(120)]
+    """The way to the area, or the place of recovery: 256 passes over one cell beside 30,000 seen once."""
+    home = [patch(Reported(100.0 * k, "port", 7.0 * k, [(0, 0, 1.0, 40.0)])) for k in range(256)]
     wide = patch(
         Reported(40_000.0, "port", 0.0, [(east, north, 1.0, 10.0) for east in range(1, 151) for north in range(200)])
     )
@@ -283,6 +286,7 @@ def test_a_place_that_is_passed_very_often_costs_no_memory_for_all_others() -> N
         tracemalloc.stop()
     assert peak_bytes < 60e6
     assert p_at(reported, 0, 0) == p_at(snapshot(*home), 0, 0) > 0.98
+    assert reported.looks.max() == 255, "and is not taken for one that nobody saw"
 
 
 def test_two_sites_that_fit_into_one_map_are_both_laid_out() -> None:

@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 
 from auv_mcm.clearance.clearance_picture import clearance_picture, clearance_png
-from tests.auv_mcm.clearance.test_clearance_export import clearance
+from tests.make.records import clearance_of
 
 
 def test_north_is_up_and_every_band_has_its_colour() -> None:
-    p = np.array([[0.1, 0.6], [0.95, 0.8]])
-    drawn = clearance_picture(clearance(p))
+    drawn = clearance_picture(clearance_of([[0.1, 0.6], [0.95, 0.8]]))
     cell = 24
     centres = {
         (row, column): tuple(drawn[12 + (1 - row) * cell + 12, 12 + column * cell + 12])
@@ -26,13 +25,12 @@ def test_north_is_up_and_every_band_has_its_colour() -> None:
 
 
 def test_what_was_not_seen_is_blank() -> None:
-    looks = np.array([[1, 0]], dtype=np.uint8)
-    drawn = clearance_picture(clearance(np.array([[0.5, 0.5]]), looks))
+    drawn = clearance_picture(clearance_of([[0.5, 0.5]], looks=np.array([[1, 0]], dtype=np.uint8)))
     assert tuple(drawn[24, 48]) == (238, 238, 238)
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (3, 200), (700, 5), (1500, 1500)])
 def test_maps_of_any_size_are_pictures(shape: tuple[int, int]) -> None:
-    decoded = cv2.imdecode(np.frombuffer(clearance_png(clearance(np.full(shape, 0.5))), np.uint8), cv2.IMREAD_COLOR)
+    decoded = cv2.imdecode(np.frombuffer(clearance_png(clearance_of(np.full(shape, 0.5))), np.uint8), cv2.IMREAD_COLOR)
     assert decoded is not None
     assert max(decoded.shape) < 1600

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from itertools import pairwise
 
 import msgspec
@@ -85,23 +84,25 @@ def test_every_pixel_of_the_core_is_counted_once_as_covered_or_by_why_not(seed: 
     mask = random.choice(
         [0, VALID, VALID | SATURATED, VALID | LOW_RESOLUTION, VALID | TURN, VALID | TURN | LOW_RESOLUTION, TURN], shape
     )
-    pose = track(shape[0])
-    latitude, heading = pose.latitude_deg.copy(), pose.heading_rad.copy()
-    latitude[random.random(shape[0]) < 0.1] = NAN
-    heading[random.random(shape[0]) < 0.1] = NAN
-    stale = random.random(shape[0]) < 0.1
-    pose = msgspec.structs.replace(pose, latitude_deg=latitude, heading_rad=heading, stale=stale)
-    patch = cover_tile(tile_of(mask.astype(np.uint8), pose, core=core), SonarConfig())
+    pose, unplaced = track(shape[0]), random.random((7, shape[0])) < 0.04
+    blind = random.random(shape[0]) < 0.1
+    needed = ("latitude_deg", "longitude_deg", "heading_rad", "pitch_rad", "roll_rad")
+    lost = {name: np.where(rows, NAN, getattr(pose, name)) for name, rows in zip(needed, unplaced, strict=False)}
+    pose = msgspec.structs.replace(pose, stale=unplaced[5], **lost)
+    first_return_m = np.where(unplaced[6], NAN, FIRST_RETURN_M)
+    tile = tile_of(mask.astype(np.uint8), pose, core=core)
+    tile = msgspec.structs.replace(tile, first_return_m=first_return_m, squint_rad=0.05)
+    patch = cover_tile(tile, SonarConfig(), blind_rows=blind)
     expected = dict.fromkeys([*LOSSES, "covered"], 0)
     for row in range(*core):
         for bits in mask[row].tolist():
             if not bits & VALID:
                 expected["invalid"] += 1
-            elif bits & LOW_RESOLUTION:
+            elif bits & LOW_RESOLUTION or blind[row]:
                 expected["low_resolution"] += 1
             elif bits & TURN:
                 expected["turn"] += 1
-            elif stale[row] or math.isnan(latitude[row]) or math.isnan(heading[row]):
+            elif unplaced[:, row].any():
                 expected["stale_navigation"] += 1
             elif bits & SATURATED:
                 expected["saturated"] += 1
@@ -113,8 +114,7 @@ def test_every_pixel_of_the_core_is_counted_once_as_covered_or_by_why_not(seed: 
     assert set(patch.lost_m2) == LOSSES
     for reason, count in expected.items():
         assert patch.lost_m2[reason] == pytest.approx(count * pixel_m2)
-    assert patch.side == "starboard"
-    assert patch.tile_index == 3
+    assert (patch.side, patch.tile_index, patch.squint_rad) == ("starboard", 3, 0.05)
     assert (patch.start_s, patch.stop_s) == (pose.time_s[core[0]], pose.time_s[core[1] - 1])
 
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from auv_mcm.classify.beliefs import FRAME, bounded_by, singleton_belief
 from auv_mcm.contacts.antimeridian import split_line, split_ring
-from auv_mcm.contacts.contact import error_ellipse, error_ellipse_ring_m
+from auv_mcm.contacts.contact import best_view, error_ellipse, error_ellipse_ring_m
 from auv_mcm.contacts.export import CSV_COLUMNS, contact_feature, contacts_geojson, iso_time, waypoints_geojson
 from auv_mcm.contacts.operating_point import OperatingPoint
 from auv_mcm.records import NAN, Contact, CoveragePatch, Detection, Waypoint
@@ -163,8 +163,6 @@ def test_what_confirmation_found_is_written_per_view_and_for_all_together() -> N
     assert close["belief"] == {name: pytest.approx(share, abs=5e-5) for name, share in singleton_belief(mass).items()}
     assert close["reasons"] == ["bright", "buried"]
     assert [far[name] for name in ("aspect_deg", "log_ratio", "belief")] == [None, None, None]
-    row = next(csv.DictReader(io.StringIO(contacts_csv([exported]))))
-    assert [row[name] for name in CSV_COLUMNS[17:20]] == ["0.123", "0.05", ""]
     assert CSV_COLUMNS[16] == "reasons", "columns of before stay where they were"
     description = contacts_kml([exported])
     assert "2.00 ± 0.12 × 0.50 ± 0.05 × ? m" in description
@@ -187,8 +185,6 @@ def test_a_call_and_the_density_behind_it_are_in_every_file() -> None:
     assert properties["false_alarms_per_km2"] == 12.346
     assert properties["false_alarms_95_per_km2"] == [3.0, 51.235]
     assert properties["called"] is True
-    row = next(csv.DictReader(io.StringIO(contacts_csv([exported]))))
-    assert [row[name] for name in CSV_COLUMNS[-6:-2]] == ["12.346", "3.0", "51.235", "true"]
     assert "yes; 12 false alarms per km² as mine-like are expected (3 to 51)" in contacts_kml([exported])
 
 
@@ -271,23 +267,51 @@ def test_csv_reads_back_and_disarms_formulas() -> None:
     assert [row["id"] for row in rows] == ["'=1+1", "C0001"]
     assert rows[0]["latitude_deg"] == "-12.5"
     assert rows[0]["reasons"] == 'a "quoted", comma; line\nbreak'
-    assert rows[0]["height_m"] == ""
     for start in "=+-@\t\r":
-        assert (
-            next(csv.DictReader(io.StringIO(contacts_csv([contact(id=start + "x")]), newline="")))["id"]
-            == "'" + start + "x"
-        )
+        disarmed = csv.DictReader(io.StringIO(contacts_csv([contact(id=start + "x")]), newline=""))
+        assert next(disarmed)["id"] == "'" + start + "x"
+
+
+def test_a_row_of_the_table_says_what_the_feature_does() -> None:
+    exported = contact(
+        height_m=0.4,
+        aspects_deg=(12.0, 287.25),
+        length_sigma_m=0.123,
+        height_sigma_m=0.05,
+        false_alarms_per_km2=12.346,
+        false_alarms_95_per_km2=(3.0, 51.2),
+        called=False,
+        views=(detection(depth_m=1.0), detection(score=20.0, side="starboard", ground_range_m=30.0, depth_m=14.75)),
+    )
+    (row,) = csv.DictReader(io.StringIO(contacts_csv([exported])))
+    (feature,) = strict(contacts_geojson([exported]))["features"]
+    said = feature["properties"]
+    longitude, latitude = feature["geometry"]["coordinates"]
+    low, high = said["false_alarms_95_per_km2"]
+    said |= {"longitude_deg": longitude, "latitude_deg": latitude, "aspects_deg": "12.0 287.2", "called": "false"}
+    said |= {"false_alarms_low_per_km2": low, "false_alarms_high_per_km2": high, "reasons": "; ".join(said["reasons"])}
+    assert row == {name: "" if said[name] is None else str(said[name]) for name in CSV_COLUMNS}
+    assert (said["depth_m"], said["side"]) == (14.75, "starboard"), "of the view with the greatest score"
+
+
+def test_the_view_of_the_greatest_score_stands_for_a_contact_of_equals_the_earliest() -> None:
+    scores = {5.0: NAN, 1.0: 7.0, 2.0: 9.0, 3.0: 9.0}
+    seen = contact(views=tuple(detection(time_s=time_s, score=score) for time_s, score in scores.items()))
+    best = best_view(seen)
+    assert best is not None
+    assert best.time_s == 2.0
+
+
+def test_a_view_of_a_sub_aperture_says_of_which() -> None:
+    seen = (detection(), detection(squint_rad=math.radians(-2.5)))
+    views = strict(contacts_geojson([contact(views=seen)]))["features"][0]["properties"]["views"]
+    assert [view.get("squint_deg") for view in views] == [None, -2.5]
 
 
 def test_kml_is_xml_with_two_folders_whatever_the_names() -> None:
-    text = contacts_kml(
-        [
-            contact(reasons=("<b>&]]>\x00",)),
-            contact(id="C<2>", p_mine=0.1, classification="clutter"),
-            contact(id="C3", p_mine=0.1, called=True),
-        ],
-        'Lines "A" & <B>\x07',
-    )
+    hostile, called = contact(reasons=("<b>&]]>\x00",)), contact(id="C3", p_mine=0.1, called=True)
+    clutter = contact(id="C<2>", p_mine=0.1, classification="clutter")
+    text = contacts_kml([hostile, clutter, called], 'Lines "A" & <B>\x07')
     document = ElementTree.fromstring(text)[0]
     assert document.findtext(f"{KML}name") == 'Lines "A" & <B>\\x07'
     folders = document.findall(f"{KML}Folder")
@@ -324,6 +348,7 @@ def test_the_parts_of_a_kml_placemark_stand_in_the_order_of_its_schema() -> None
     assert placemark is not None
     order = ["name", "description", "TimeStamp", "styleUrl", "MultiGeometry"]  # AbstractFeatureType, OGC 07-147r2
     assert [part.tag.removeprefix(KML) for part in placemark] == order
+    assert placemark.findtext(f"{KML}TimeStamp/{KML}when") == "2023-11-14T22:13:20.123Z"
 
 
 def test_kml_error_ellipse_is_two_sigma_on_the_ground() -> None:
@@ -345,18 +370,14 @@ def test_coverage_crossing_the_antimeridian_becomes_a_multipolygon() -> None:
     assert {point[0] for point in east} == {-180.0, -179.9}
     assert area(west) == pytest.approx(0.01)
     assert area(east) == pytest.approx(0.01)
-    assert feature["properties"]["lost_m2"] == {"invalid": None, "turn": 3.0}
 
 
 def test_coverage_rings_are_counter_clockwise_and_closed_and_in_tile_order() -> None:
     clockwise = [(1.0, 1.0), (1.0, 2.0), (2.0, 2.0), (2.0, 1.0), (1.0, 1.0)]
     patches = [patch(clockwise, side="starboard"), patch(clockwise, tile_index=3), patch(clockwise)]
     features = strict(coverage_geojson(patches))["features"]
-    assert [(feature["properties"]["tile"], feature["properties"]["side"]) for feature in features] == [
-        (0, "port"),
-        (0, "starboard"),
-        (3, "port"),
-    ]
+    order = [(feature["properties"]["tile"], feature["properties"]["side"]) for feature in features]
+    assert order == [(0, "port"), (0, "starboard"), (3, "port")]
     (ring,) = features[0]["geometry"]["coordinates"]
     assert ring[0] == ring[-1]
     assert area(ring) == pytest.approx(1.0)
@@ -364,9 +385,19 @@ def test_coverage_rings_are_counter_clockwise_and_closed_and_in_tile_order() -> 
 
 def test_a_patch_without_a_known_outline_keeps_its_numbers() -> None:
     rings = (np.full((5, 2), NAN),)
-    (feature,) = strict(coverage_geojson([patch([(0.0, 0.0)], rings_deg=rings)]))["features"]
+    times = {"start_s": 1_700_000_000.0, "stop_s": 1_700_000_001.5}
+    placeless = patch([(0.0, 0.0)], rings_deg=rings, tile_index=3, evaluated_fraction=0.25, **times)
+    (feature,) = strict(coverage_geojson([placeless]))["features"]
     assert feature["geometry"] is None
-    assert feature["properties"]["covered_m2"] == 12.0
+    assert feature["properties"] == {
+        "side": "port",
+        "tile": 3,
+        "start": "2023-11-14T22:13:20.000Z",
+        "stop": "2023-11-14T22:13:21.500Z",
+        "covered_m2": 12.0,
+        "evaluated_fraction": 0.25,
+        "lost_m2": {"invalid": None, "turn": 3.0},
+    }
 
 
 @given(
@@ -412,21 +443,8 @@ def inside(ring: NDArray[np.float64], east: float, north: float) -> bool:
 
 
 def test_a_comb_across_the_antimeridian_falls_into_its_teeth() -> None:
-    comb = np.array(
-        [
-            (179.0, 0.0),
-            (181.0, 0.0),
-            (181.0, 1.0),
-            (179.5, 1.0),
-            (179.5, 2.0),
-            (181.0, 2.0),
-            (181.0, 3.0),
-            (179.0, 3.0),
-            (179.0, 0.0),
-        ],
-        dtype=float,
-    )
-    pieces = split_ring(comb)
+    longitudes = (179.0, 181.0, 181.0, 179.5, 179.5, 181.0, 181.0, 179.0, 179.0)
+    pieces = split_ring(np.column_stack([longitudes, (0.0, 0.0, 1.0, 1.0, 2.0, 2.0, 3.0, 3.0, 0.0)]))
     assert sorted(round(area(piece), 9) for piece in pieces) == [1.0, 1.0, 2.5]
 
 
@@ -446,11 +464,8 @@ def test_a_ring_around_the_pole_is_closed_over_the_pole(latitude: float) -> None
 
 def test_lines_are_cut_at_the_antimeridian_and_join_there() -> None:
     pieces = split_line(np.array([(179.0, 0.0), (-179.0, 2.0), (-178.0, 2.0), (179.0, 5.0)]))
-    assert [piece[:, 0].tolist() for piece in pieces] == [
-        [179.0, 180.0],
-        [-180.0, -179.0, -178.0, -180.0],
-        [180.0, 179.0],
-    ]
+    longitudes = [piece[:, 0].tolist() for piece in pieces]
+    assert longitudes == [[179.0, 180.0], [-180.0, -179.0, -178.0, -180.0], [180.0, 179.0]]
     assert pieces[0][-1, 1] == pieces[1][0, 1] == 1.0
 
 

@@ -20,14 +20,14 @@ def patch(cells: dict[tuple[int, int], float] | None, covered_m2: float = 0.0, c
     return patch_of(covered_m2=covered_m2, cells=None if cells is None else cells_of(cells, cell_m=cell_m))
 
 
-@given(st.lists(CELLS, max_size=5))
-def test_of_each_cell_no_more_than_all_of_it_counts(patches: list[dict[tuple[int, int], float]]) -> None:
+@given(st.lists(CELLS, max_size=5), st.sampled_from([2.0, 4.0]))
+def test_of_each_cell_no_more_than_all_of_it_counts(patches: list[dict[tuple[int, int], float]], cell_m: float) -> None:
     area, total = SeenArea(), dict[tuple[int, int], float]()
     for cells in patches:
-        area.add(patch(cells))
+        area.add(patch(cells, cell_m=cell_m))
         for place, fraction in cells.items():
             total[place] = min(total.get(place, 0.0) + fraction, 1.0)
-    assert area.km2 == pytest.approx(16e-6 * sum(total.values()))
+    assert area.km2 == pytest.approx(1e-6 * cell_m**2 * sum(total.values()))
 
 
 def test_what_has_no_place_counts_in_full() -> None:

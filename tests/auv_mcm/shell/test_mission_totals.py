@@ -9,10 +9,13 @@ import pytest
 from msgspec import structs
 
 from auv_mcm.clearance.clearance_map import Clearance
+from auv_mcm.clearance.residual import PRIOR_SHARE, remaining_mines
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.settings.plan_settings import PlanConfig
 from auv_mcm.shell.mission_totals import area_totals, clearance_notices, contact_totals, search_totals
+from tests.auv_mcm.classify import drawn_looks
 from tests.auv_mcm.contacts.test_seen_area import patch
+from tests.make.records import clearance_of
 
 
 def test_the_search_is_summed_up_over_what_was_seen() -> None:
@@ -25,8 +28,25 @@ def test_the_search_is_summed_up_over_what_was_seen() -> None:
     assert sum(searched["seabed_km2"].values()) == pytest.approx(searched["km2"], abs=1e-6)
     seen_p = np.array([0.5, 0.9001, 0.96])
     assert searched["mines_left"]["expected"] == pytest.approx(0.5 * (1.0 - seen_p).sum() / seen_p.sum(), abs=1e-3)
-    assert searched["mines_found"] == 0.0
-    assert searched["mines_left"]["among_contacts"] == 0
+    assert (searched["mines_found"], searched["mines_left"]["among_contacts"]) == (0.0, 0)
+
+
+def test_of_contacts_those_that_are_mine_like_are_found_and_the_others_may_be_left() -> None:
+    contacts = [drawn_looks.contact(p_mine=p_mine) for p_mine in (0.9, 0.7, 0.1, 0.05, 0.01)]
+    searched = search_totals(searched_half(), contacts)["searched"]
+    left = remaining_mines([0.9, 0.7, 0.1, 0.05, 0.01], [True, True, False, False, False], [0.5, 0.9001, 0.96])
+    assert searched["mines_found"] == pytest.approx(1.6)
+    assert searched["mines_left"] == {
+        "expected": pytest.approx(left.expected, abs=1e-4),
+        "at_most_95": left.at_most_95,
+        "p_none": pytest.approx(left.p_none, abs=1e-4),
+        "among_contacts": 3,
+        "p_mine_sum": pytest.approx(0.16),
+        "mine_share": pytest.approx(left.share, abs=1e-4),
+        "mine_share_presumed": PRIOR_SHARE,
+    }
+    assert searched["seabed_km2"]["flat"] == searched["seabed_km2"]["ripple"] == pytest.approx(16e-6)
+    assert searched["seabed_km2"]["unknown"] == 0.0
 
 
 def test_of_a_cell_at_the_edge_only_what_was_seen_was_searched() -> None:
@@ -96,7 +116,7 @@ def test_an_area_to_clear_is_summed_up_and_what_of_it_was_not_seen_counts_as_not
     assert area_totals(searched_half(), PlanConfig()) == {}
     frame = LocalFrame(latitude_deg=43.0, longitude_deg=5.0)
     latitude_deg, longitude_deg, _ = frame.to_geodetic(
-        [[0.0, 0.0, 0.0], [0.0, 16.0, 0.0], [8.0, 16.0, 0.0], [8.0, 0.0, 0.0]]
+        [[0.0, 0.0, 0.0], [0.0, 15.0, 0.0], [7.0, 15.0, 0.0], [7.0, 0.0, 0.0]]
     )
     plan = PlanConfig(area_deg=tuple(zip(latitude_deg.tolist(), longitude_deg.tolist(), strict=True)))
     area = area_totals(searched_half(), plan, "cannot, because")["area"]
@@ -109,20 +129,6 @@ def test_an_area_to_clear_is_summed_up_and_what_of_it_was_not_seen_counts_as_not
 
 def searched_half() -> Clearance:
     """Four cells, of which one was not seen."""
-    nothing = np.full((2, 2), np.nan, dtype=np.float32)
-    return Clearance(
-        origin_latitude_deg=43.0,
-        origin_longitude_deg=5.0,
-        cell_m=4.0,
-        first_east=0,
-        first_north=0,
-        exponent=-np.log1p(-np.array([[0.5, 0.9001], [0.96, 0.0]])),
-        share=np.array([[1.0, 1.0], [1.0, 0.0]], dtype=np.float32),
-        looks=np.array([[1, 1], [2, 0]], dtype=np.uint8),
-        towards=np.array([[1, 1], [3, 0]], dtype=np.uint64),
-        seabed=np.array([[0, 1], [2, 4]], dtype=np.uint8),
-        ripple_rad=nothing,
-        wavelength_m=nothing,
-        unevenness_db=nothing,
-        altitude_m=nothing,
-    )
+    share, looks = np.array([[1.0, 1.0], [1.0, 0.0]], dtype=np.float32), np.array([[1, 1], [2, 0]], dtype=np.uint8)
+    seabed = np.array([[0, 1], [2, 4]], dtype=np.uint8)
+    return clearance_of([[0.5, 0.9001], [0.96, 0.0]], share=share, looks=looks, seabed=seabed)

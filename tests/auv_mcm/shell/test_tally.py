@@ -27,11 +27,15 @@ def sailed(*samples: NavSample) -> Tally:
 def test_distance_is_the_sum_of_steps_without_jumps_holes_and_absent_positions() -> None:
     assert sailed(fix(0, 10), fix(1, 12), fix(2, 15)).distance_m == pytest.approx(5.0, rel=0.01)
     assert sailed(fix(0, 10), fix(1, 5000), fix(2, 5002)).distance_m == pytest.approx(2.0, rel=0.01), "a jump"
+    assert sailed(fix(0, 10), fix(1, 11), fix(2, 5000)).distance_m == pytest.approx(1.0, rel=0.01), "the way before it"
     assert sailed(fix(0, 10), fix(500, 60), fix(501, 62)).distance_m == pytest.approx(2.0, rel=0.01), "a hole"
     gap = NavSample(time_s=1.0)
     zero = NavSample(time_s=1.0, latitude_deg=0.0, longitude_deg=0.0)
     leap = NavSample(time_s=1.0, latitude_deg=30.0 * METRE_DEG, longitude_deg=179.9999, position_leaps=True)
-    assert sailed(fix(0, 10), gap, zero, leap, fix(2, 12)).distance_m == pytest.approx(2.0, rel=0.01)
+    nowhere = [NavSample(time_s=1.5, latitude_deg=lat, longitude_deg=lon) for lat, lon in ((91.0, 0.0), (0.0, 361.0))]
+    tally = sailed(fix(0, 10), gap, zero, leap, fix(2, 12), *nowhere)
+    assert tally.distance_m == pytest.approx(2.0, rel=0.01)
+    assert tally.longitude_deg == 179.9999
 
 
 def test_steps_of_coarse_positions_are_no_way_sailed() -> None:

@@ -14,6 +14,7 @@ from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import Contact
 from sim_replay.benches.clearance import CHAIN, EXPERIMENT, JudgedClearance, judge_mission
 from sim_replay.benches.experiment import experiment_rows
+from tests.make.records import clearance_of
 
 FRAME = LocalFrame(latitude_deg=43.0, longitude_deg=5.0)
 
@@ -33,23 +34,7 @@ def contact(east_m: float, north_m: float, p_mine: float) -> Contact:
 
 def searched(p: float) -> Clearance:
     """Forty by forty metres, all seen."""
-    nothing = np.full((10, 10), np.nan, dtype=np.float32)
-    return Clearance(
-        origin_latitude_deg=43.0,
-        origin_longitude_deg=5.0,
-        cell_m=4.0,
-        first_east=0,
-        first_north=0,
-        exponent=np.full((10, 10), -np.log1p(-p)),
-        share=np.ones((10, 10), dtype=np.float32),
-        looks=np.ones((10, 10), dtype=np.uint8),
-        towards=np.ones((10, 10), dtype=np.uint64),
-        seabed=np.zeros((10, 10), dtype=np.uint8),
-        ripple_rad=nothing,
-        wavelength_m=nothing,
-        unevenness_db=nothing,
-        altitude_m=nothing,
-    )
+    return clearance_of(np.full((10, 10), p))
 
 
 def test_a_target_is_found_by_a_contact_called_near_it_and_others_are_left() -> None:

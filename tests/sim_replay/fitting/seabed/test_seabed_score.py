@@ -15,6 +15,7 @@ from sim_replay.benches.experiment import experiment_rows
 from sim_replay.benches.seabed import EXPERIMENT, MAP, Scored
 from sim_replay.fitting.seabed.seabed_score import confusion_m2, shares
 from sim_replay.scoring.seabed_map import NOT_SWEPT, SeabedMap, encode
+from tests.make.records import clearance_of
 
 FLAT, RIPPLE, ROUGH, VEGETATION, UNKNOWN = range(len(SEABED_TYPES))
 AT_DEG = (43.0, 5.0)
@@ -28,22 +29,8 @@ def mapped(
     looks = np.ones(kind.shape, dtype=np.uint8)
     if unseen is not None:
         looks[unseen] = 0
-    nothing = np.full(kind.shape, np.nan, dtype=np.float32)
-    return Clearance(
-        origin_latitude_deg=AT_DEG[0],
-        origin_longitude_deg=AT_DEG[1],
-        cell_m=4.0,
-        first_east=first_east,
-        first_north=first_north,
-        exponent=np.ones(kind.shape),
-        share=np.ones(kind.shape, dtype=np.float32),
-        looks=looks,
-        towards=np.ones(kind.shape, dtype=np.uint64),
-        seabed=kind,
-        ripple_rad=nothing,
-        wavelength_m=nothing,
-        unevenness_db=nothing,
-        altitude_m=nothing,
+    return clearance_of(
+        np.ones(kind.shape) * 0.5, first_east=first_east, first_north=first_north, looks=looks, seabed=kind
     )
 
 
