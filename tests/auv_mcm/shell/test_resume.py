@@ -11,6 +11,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,6 +19,7 @@ import pytest
 
 from auv_mcm.records import SourceEvent
 from auv_mcm.settings.config import Config, ServiceConfig
+from auv_mcm.shell.checkpoint import Keeping, newest_checkpoint
 from auv_mcm.shell.journal import Journal
 from auv_mcm.shell.perception_chain import MakePipeline
 from auv_mcm.shell.service import Service
@@ -36,6 +38,19 @@ def events(first: int, stop: int) -> list[SourceEvent]:
     return [event for number in range(first, stop) for event in (fake.navigation(number), fake.ping(number))]
 
 
+def service_of(
+    folder: Path,
+    given: Sequence[SourceEvent],
+    say: Callable[[str], None],
+    make: MakePipeline = fake.Base,
+    *,
+    mission: str = "",
+    stop_within_s: float = 60.0,
+) -> Service:
+    config = Config(mission=mission, service=ServiceConfig(output_directory=str(folder), stop_within_s=stop_within_s))
+    return Service(config, Ports(given), console=say, make_pipeline=make)
+
+
 def serve(
     folder: Path, given: Sequence[SourceEvent], *, mission: str = "", say: Callable[[str], None] | None = None
 ) -> Run:
@@ -43,9 +58,7 @@ def serve(
     said: list[str] = []
 
     async def run() -> Path:
-        source = Ports(given)
-        config = Config(mission=mission, service=ServiceConfig(output_directory=str(folder), stop_within_s=60.0))
-        service = Service(config, source, console=say or said.append, make_pipeline=fake.Base)
+        service = service_of(folder, given, say or said.append, mission=mission)
         asyncio.get_running_loop().call_later(0.3, service.stop)
         return await service.run()
 
@@ -71,8 +84,7 @@ def killed_in(folder: Path, say: Callable[[str], None]) -> None:
     """Serve 20 pings and end in order, unless `say` kills all processes."""
 
     async def run() -> None:
-        config = Config(service=ServiceConfig(output_directory=str(folder), stop_within_s=60.0))
-        service = Service(config, Ports(events(0, 20)), console=say, make_pipeline=fake.Base)
+        service = service_of(folder, events(0, 20), say)
         asyncio.get_running_loop().call_later(0.3, service.stop)
         await service.run()
 
@@ -114,8 +126,7 @@ def cut_off(folder: Path, given: Sequence[SourceEvent], at_line: str, make: Make
             if at_line in line:
                 running.cancel()
 
-        config = Config(service=ServiceConfig(output_directory=str(folder), stop_within_s=60.0))
-        running = asyncio.ensure_future(Service(config, Ports(given), console=say, make_pipeline=make).run())
+        running = asyncio.ensure_future(service_of(folder, given, say, make).run())
         await asyncio.wait({running})
         assert running.cancelled()
 
@@ -124,6 +135,32 @@ def cut_off(folder: Path, given: Sequence[SourceEvent], at_line: str, make: Make
 
 
 EXPECTED = [f"C{number:04d}" for number in (*range(0, 24, 3), 9999)]
+
+
+def test_a_session_cut_off_twice_goes_on_from_its_checkpoints_with_all_that_was_counted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("auv_mcm.shell.service.Keeping", partial(Keeping, every_s=0.0))
+
+    async def run(given: Sequence[SourceEvent], n_contacts: int) -> None:
+        running = asyncio.ensure_future(service_of(tmp_path, given, lambda line: None).run())
+        state = tmp_path / "latest" / "state"
+        before = newest_checkpoint(state)
+        async with asyncio.timeout(60.0):
+            while newest_checkpoint(state) <= before or len(journal(tmp_path / "latest")) < n_contacts:
+                await asyncio.wait({running}, timeout=0.01)
+        running.cancel()
+        await asyncio.wait({running})
+
+    asyncio.run(run(events(0, 12), 4))
+    asyncio.run(run(events(12, 18), 6))
+    after = serve(tmp_path, events(18, 24))
+    assert ids(after.folder) == journal(after.folder) == EXPECTED
+    covered = json.loads((after.folder / "coverage.geojson").read_bytes())["features"]
+    assert [feature["properties"]["tile"] for feature in covered] == [*range(0, 24, 3)]
+    totals = summary(after.folder)
+    assert (totals["pings"], totals["navigation_samples"], totals["duration_s"]) == (24, 24, 23.0)
+    assert "contacts_in_journal" not in [notice["code"] for notice in totals["notices"]]
 
 
 def test_what_a_power_cut_left_of_the_files_is_gone_on_with(tmp_path: Path) -> None:
@@ -223,10 +260,7 @@ def test_a_session_begun_on_a_full_disk_is_kept_once_there_is_room(
             if "C0009" in line:
                 disk.undo()
 
-        config = Config(service=ServiceConfig(output_directory=str(tmp_path), stop_within_s=60.0))
-        running = asyncio.ensure_future(
-            Service(config, Ports(events(0, 12)), console=say, make_pipeline=fake.Base).run()
-        )
+        running = asyncio.ensure_future(service_of(tmp_path, events(0, 12), say).run())
         async with asyncio.timeout(20.0):
             while not [*tmp_path.glob("latest/state/service.json")]:
                 await asyncio.wait({running}, timeout=0.01)
@@ -315,8 +349,7 @@ def test_a_stop_that_comes_before_all_is_worked_off_leaves_the_rest_to_the_next_
             if "C0009" in line:
                 service.stop()
 
-        config = Config(service=ServiceConfig(output_directory=str(tmp_path), stop_within_s=3.0))
-        service = Service(config, Ports(events(0, 12)), console=say, make_pipeline=fake.BusyAtItsEnd)
+        service = service_of(tmp_path, events(0, 12), say, fake.BusyAtItsEnd, stop_within_s=3.0)
         return await service.run()
 
     folder = asyncio.run(run())
@@ -355,8 +388,7 @@ def test_a_contact_that_goes_to_the_journal_as_the_stop_ends_the_mission_is_anno
 
     async def run() -> Path:
         nonlocal service, loop
-        config = Config(service=ServiceConfig(output_directory=str(tmp_path), stop_within_s=3.0))
-        service = Service(config, Ports(events(0, 12)), console=said.append, make_pipeline=fake.Base)
+        service = service_of(tmp_path, events(0, 12), said.append, stop_within_s=3.0)
         loop = asyncio.get_running_loop()
         return await service.run()
 
@@ -383,8 +415,7 @@ def test_a_stop_while_perception_hangs_at_its_start_does_not_wait_for_it(
     monkeypatch.setenv("FAILED_ONCE", str(tmp_path / "failed"))
 
     async def run() -> Path:
-        config = Config(service=ServiceConfig(output_directory=str(tmp_path), stop_within_s=3.0))
-        service = Service(config, Ports(events(0, 12)), console=print, make_pipeline=fake.HangingAtItsStartOnce)
+        service = service_of(tmp_path, events(0, 12), print, fake.HangingAtItsStartOnce, stop_within_s=3.0)
         service.stop()
         return await service.run()
 
