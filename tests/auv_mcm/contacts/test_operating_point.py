@@ -7,7 +7,6 @@ import re
 from collections.abc import Sequence
 from typing import Any
 
-import msgspec
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -154,17 +153,6 @@ def test_the_more_mine_like_the_fewer_false_alarms_are_expected(log_odds: list[f
     assert found[-1, 0] == 0.0
 
 
-def test_what_is_announced_depends_on_nothing_that_came_later() -> None:
-    long, short = Mission(), Mission()
-    for mission in (long, short):
-        mission.search(0.02)
-        mission.see(-4.0, -3.0, 1.0)
-    first = list(short.announced[3])
-    long.search(0.5)
-    long.see(*[-2.0] * 30)
-    assert msgspec.structs.astuple(long.announced[3][0])[-3:] == msgspec.structs.astuple(first[0])[-3:]
-
-
 def test_a_call_that_turns_is_announced_again_and_nothing_else_is() -> None:
     mission = Mission()
     mission.search(0.0001)
@@ -251,7 +239,7 @@ def test_without_a_prior_the_usual_p_mine_calls_and_no_density_is_claimed() -> N
     unlikely, likely = mission.see(odds_of(MINE_LIKE_P) - 0.01, odds_of(MINE_LIKE_P) + 0.01)
     assert (unlikely.called, likely.called) == (False, True)
     assert math.isnan(likely.false_alarms_per_km2)
-    assert call_words(likely) == "yes"
+    assert (call_words(likely), call_words(drawn(1, 0.0))) == ("yes", "")
     assert mission.watch.take_notices() == []
 
 
@@ -312,15 +300,3 @@ def test_class_belief_p_mine_and_call_agree(
             assert contact.belief[contact.classification] == max(contact.belief.values())
         mines = sum(share for name, share in contact.belief.items() if name not in ("clutter", "unknown"))
         assert mines <= contact.p_mine + 1e-12 <= 1.0 - contact.belief["clutter"] + 2e-12
-
-
-def test_an_operating_point_says_what_it_calls() -> None:
-    nothing = OperatingPoint(30.0, 0, 0.0, None)
-    marked = nothing.marked(drawn(1, 5.0))
-    assert marked.called is True
-    mission = Mission()
-    mission.search(0.05)
-    (announced,) = mission.see(3.0)
-    assert call_words(announced).startswith("yes; ")
-    assert "false alarms per km² as mine-like are expected" in call_words(announced)
-    assert call_words(drawn(1, 0.0)) == ""
