@@ -4,9 +4,9 @@ has it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
-from auv_mcm.records import SourceEvent
+from auv_mcm.records import NavSample, SourceEvent
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene import (
     EXACT,
@@ -14,6 +14,7 @@ from sim_replay.simulator.scene import (
     Lawnmower,
     Motion,
     Origin,
+    SampleRecorder,
     Scene,
     SceneObject,
     Seabed,
@@ -27,6 +28,15 @@ BARE = World(
     seabeds=(Seabed(type="sand", relief_rms_m=0.0, texture_shape=0.0, stones_per_ha=0.0),),
     relief_rms_m=0.0,
     backscatter="lambert",
+)
+
+SONAR = Sonar(
+    range_m=22.0,
+    n_samples=512,
+    ping_rate_hz=12.0,
+    range_resolution_m=0.0,
+    beam_lines=3,
+    recorder=SampleRecorder(samples="amplitude_float32", seabed_counts=3000.0, full_scale=32767),
 )
 
 
@@ -59,3 +69,11 @@ def one_leg(
 def flown(scene: Scene) -> tuple[SourceEvent, ...]:
     """Yield everything that the payload receives."""
     return tuple(Mission(scene).events())
+
+
+def with_late_navigation(events: Sequence[SourceEvent]) -> list[SourceEvent]:
+    """In bursts, as links deliver them: the navigation of each behind its pings."""
+    late: list[SourceEvent] = []
+    for start in range(0, len(events), 14):
+        late += sorted(events[start : start + 14], key=lambda event: isinstance(event, NavSample))
+    return late

@@ -79,39 +79,30 @@ def test_bad_usage_is_exit_code_2(arguments: list[str], capsys: pytest.CaptureFi
         (["calibrate", "budget", "--speed", "2", "--sped", "2"], "calibrate budget", "did you mean --speed?"),
         (["train", "--out", "o.json", "--worker-count", "3"], "train", "unrecognized arguments: --worker-count"),
         (["--verbose", "check"], "", "unrecognized arguments: --verbose"),
+        # The beginning of an option is not taken for the whole.
+        (["train", "--ou", "x"], "train", "the following arguments are required: --out"),
+        (["train", "--out", "x", "--work", "3"], "train", "did you mean --workers?"),
+        (["replay", "a.xtf", "--out", "o", "--thread", "2"], "replay", "did you mean --threads?"),
+        (["calibrate", "odds", "--out", "x", "--crowd", "3"], "calibrate odds", "did you mean --crowded?"),
+        (["bench", "domains", "--first", "3"], "bench domains", "unrecognized arguments: --first"),
+        (["replay", "a.xtf", "--outt", "o"], "replay", "did you mean --out?"),
+        (["replay", "a.xtf", "--speed", "rel"], "replay", "did you mean real?"),
+        (["reply", "a.xtf"], "", "did you mean replay?"),
+        (["zzz"], "", "choose from replay, info, view"),
     ],
 )
-def test_a_wrong_flag_is_refused_with_the_usage_of_its_own_command(
-    arguments: list[str], usage: str, message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(SystemExit) as ended:
-        main(arguments)
-    text = capsys.readouterr().err
-    assert ended.value.code == 2
-    assert text.startswith(f"usage: auv-mcm {usage} [-h]".replace("  ", " "))
-    assert message in text
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["train", "--ou", "x"], "the following arguments are required: --out"),
-        (["train", "--out", "x", "--work", "3"], "did you mean --workers?"),
-        (["replay", "a.xtf", "--out", "o", "--thread", "2"], "did you mean --threads?"),
-        (["calibrate", "odds", "--out", "x", "--crowd", "3"], "did you mean --crowded?"),
-        (["bench", "domains", "--first", "3"], "unrecognized arguments: --first"),
-    ],
-)
-def test_the_beginning_of_an_option_is_not_taken_for_the_whole(
-    arguments: list[str], message: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_a_wrong_flag_or_word_is_refused_with_the_usage_of_its_own_command_and_the_nearest(
+    arguments: list[str], usage: str, message: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(
         "sim_replay.fitting.cascade.train_cascade.train_model", lambda *_, **__: pytest.fail("the training began")
     )
     with pytest.raises(SystemExit) as ended:
         main(arguments)
+    text = capsys.readouterr().err
     assert ended.value.code == 2
-    assert message in capsys.readouterr().err
+    assert text.startswith(f"usage: auv-mcm {usage} [-h]".replace("  ", " "))
+    assert message in text
 
 
 @pytest.mark.parametrize("separator", [[], ["--"]])
@@ -412,19 +403,6 @@ def test_the_process_that_serves_stays_lean() -> None:
         "set(sys.modules)))"
     )
     assert run(code=code).stdout == "[] []\n", "the command starts without numpy, the service runs without the others"
-
-
-def test_a_slip_in_a_command_or_a_choice_names_the_nearest(capsys: pytest.CaptureFixture[str]) -> None:
-    for words, near in (
-        (["reply", "a.xtf"], "did you mean replay?"),
-        (["replay", "a.xtf", "--outt", "o"], "did you mean --out?"),
-        (["replay", "a.xtf", "--speed", "rel"], "did you mean real?"),
-        (["zzz"], "choose from replay, info, view"),
-    ):
-        with pytest.raises(SystemExit) as ended:
-            main(words)
-        assert ended.value.code == 2
-        assert near in capsys.readouterr().err
 
 
 def test_help_lists_every_command_once_by_purpose_and_fits_the_terminal(

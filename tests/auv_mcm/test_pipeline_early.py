@@ -15,11 +15,11 @@ from auv_mcm.early import EarlyLook
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Contact, EarlyContact, NavSample, Ping, PipelineEvent, SourceEvent, Tile
 from auv_mcm.settings.config import Config, SonarConfig
-from sim_replay.simulator.scene import SampleRecorder, SceneObject, Sonar
-from tests.auv_mcm.short_missions import flown, one_leg
+from sim_replay.simulator.scene import SceneObject
+from tests.auv_mcm.short_missions import SONAR, flown, one_leg, with_late_navigation
 
 SPEED_MPS = 1.8
-RATE_HZ = 12.0
+RATE_HZ = SONAR.ping_rate_hz
 LENGTH_M = 110.0
 PLACES_M = (30.0, 55.0)
 OBJECTS = (
@@ -36,14 +36,6 @@ OBJECTS = (
         width_m=0.5,
         height_m=0.5,
     ),
-)
-SONAR = Sonar(
-    range_m=22.0,
-    n_samples=512,
-    ping_rate_hz=RATE_HZ,
-    range_resolution_m=0.0,
-    beam_lines=3,
-    recorder=SampleRecorder(samples="amplitude_float32", seabed_counts=3000.0, full_scale=32767),
 )
 CONFIG = Config(sonar=SonarConfig(transfer="amplitude"))  # stated, so that no ping waits for it
 
@@ -98,13 +90,6 @@ def finished(out: Sequence[Announced]) -> list[object]:
     return words
 
 
-def late_navigation() -> list[SourceEvent]:
-    late: list[SourceEvent] = []
-    for start in range(0, len(mission()), 14):
-        late += sorted(mission()[start : start + 14], key=lambda event: isinstance(event, NavSample))
-    return late
-
-
 def test_everything_but_early_contacts_is_the_same_to_the_byte_with_them_and_without() -> None:
     (early_chain, early_out), (chain, out) = with_early(), without()
     assert finished(early_out) == finished(out)
@@ -136,7 +121,7 @@ def test_where_the_sonar_stays_silent_all_is_announced_before_the_end_and_the_co
 
 @pytest.mark.parametrize("threads", [1, 2])
 def test_early_contacts_do_not_depend_on_how_input_was_cut_up_nor_on_threads(threads: int) -> None:
-    chain, out = run(late_navigation(), early=True, threads=threads)
+    chain, out = run(with_late_navigation(mission()), early=True, threads=threads)
     assert early_words(out) == early_words(with_early()[1])
     assert contacts_geojson(chain.contacts) == contacts_geojson(without()[0].contacts)
 

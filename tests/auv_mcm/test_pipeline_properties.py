@@ -16,10 +16,10 @@ from auv_mcm.classify.beliefs import MINE_LIKE_P
 from auv_mcm.contacts.export import contacts_geojson
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.pipeline import Pipeline
-from auv_mcm.records import Contact, CoveragePatch, EchoTrace, NavSample, Notice, Ping, PipelineEvent, SourceEvent
+from auv_mcm.records import Contact, CoveragePatch, EchoTrace, Notice, Ping, PipelineEvent, SourceEvent
 from auv_mcm.settings.config import Config, ContactsConfig, WaterfallConfig
-from sim_replay.simulator.scene import SampleRecorder, Scene, SceneObject, Sonar
-from tests.auv_mcm.short_missions import flown, one_leg
+from sim_replay.simulator.scene import Scene, SceneObject
+from tests.auv_mcm.short_missions import SONAR, flown, one_leg, with_late_navigation
 
 LENGTH_M = 44.0
 OBJECTS = (
@@ -30,16 +30,6 @@ OBJECTS = (
         kind="box", leg=0, along_m=24.0, across_m=-12.0, azimuth_deg=70.0, length_m=1.2, width_m=0.5, height_m=0.5
     ),
     SceneObject(kind="sphere", leg=0, along_m=33.0, across_m=15.0, width_m=0.6),
-)
-
-
-SONAR = Sonar(
-    range_m=22.0,
-    n_samples=512,
-    ping_rate_hz=12.0,
-    range_resolution_m=0.0,
-    beam_lines=3,
-    recorder=SampleRecorder(samples="amplitude_float32", seabed_counts=3000.0, full_scale=32767),
 )
 
 
@@ -232,10 +222,7 @@ def test_threads_and_repetition_give_the_same_bytes(threads: int) -> None:
 
 def test_navigation_arriving_late_gives_the_same_bytes() -> None:
     """Links deliver navigation and pings in bursts; only the times they carry may count."""
-    late: list[SourceEvent] = []
-    for start in range(0, len(mission()), 14):
-        burst = mission()[start : start + 14]
-        late += sorted(burst, key=lambda event: isinstance(event, NavSample))
+    late = with_late_navigation(mission())
     assert contacts_geojson(run(late)[0].contacts) == contacts_geojson(reference())
 
 

@@ -4,9 +4,7 @@ take."""
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
 from contextlib import closing
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,21 +19,12 @@ from auv_mcm.records import Contact, Detection, contact_id, contact_number
 from tests.auv_mcm.classify import drawn_looks
 from tests.auv_mcm.contacts.temporary_records import temporary_record_file
 from tests.auv_mcm.contacts.whole_exports import contacts_csv, contacts_kml
+from tests.make.disks import full
 from tests.make.results import write_results
 
 PWRITE = "auv_mcm.contacts.record_file.os.pwrite"
 PRIOR = -4.0
 PICTURE = np.zeros((60, 80), dtype=np.uint8)
-
-
-@pytest.fixture
-def records(tmp_path: Path) -> Iterator[RecordFile]:
-    with closing(temporary_record_file(tmp_path)) as records:
-        yield records
-
-
-def full(*_: object) -> int:
-    raise OSError(28, "No space left on device")
 
 
 def view(time_s: float) -> Detection:

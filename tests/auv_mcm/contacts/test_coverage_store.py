@@ -14,6 +14,7 @@ from auv_mcm.contacts.coverage_store import CoverageStore, store_patch
 from auv_mcm.records import CoveragePatch, Side
 from tests.auv_mcm.contacts.temporary_records import temporary_record_file
 from tests.auv_mcm.contacts.whole_exports import coverage_geojson
+from tests.make.disks import full
 from tests.make.records import patch_of
 from tests.make.results import write_results
 
@@ -32,9 +33,6 @@ def test_the_file_is_that_of_all_patches_held_at_once(
 ) -> None:
     folder, write = tmp_path_factory.mktemp("results"), os.pwrite
     patches = [patch(tile_index, side) for tile_index, side, _ in tiles]
-
-    def full(*_: object) -> int:
-        raise OSError(28, "No space left on device")
 
     with closing(temporary_record_file(folder)) as records, pytest.MonkeyPatch.context() as disk:
         coverage = CoverageStore(records)

@@ -10,7 +10,6 @@ import os
 import tracemalloc
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
-from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -244,12 +243,6 @@ def test_contacts_that_ask_for_another_look_are_those_that_say_from_where(
         ledger.add(batch)
         asking = [contact for contact in ledger.contacts if contact.next_look_deg and contact.p_mine >= min_p_mine]
         assert list(ledger.asking(min_p_mine)) == asking
-
-
-@pytest.fixture
-def records(tmp_path: Path) -> Iterator[RecordFile]:
-    with closing(temporary_record_file(tmp_path)) as records:
-        yield records
 
 
 def test_what_the_disk_does_not_give_back_is_a_contact_of_its_own(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import multiprocessing
 import os
-from collections.abc import Iterator
 from contextlib import closing
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -23,12 +22,6 @@ from tests.make.records import patch_of
 
 CONTACT = record_decoder(Contact)
 PWRITE = "auv_mcm.contacts.record_file.os.pwrite"
-
-
-@pytest.fixture
-def records(tmp_path: Path) -> Iterator[RecordFile]:
-    with closing(temporary_record_file(tmp_path)) as records:
-        yield records
 
 
 def contact(number: int, text: str = "") -> Contact:

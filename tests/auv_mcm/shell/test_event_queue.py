@@ -10,43 +10,9 @@ from itertools import zip_longest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from auv_mcm.records import NavSample, Ping, SourceEvent
+from auv_mcm.records import Ping, SourceEvent
 from auv_mcm.shell.event_queue import EventQueue, Queued
 from tests.auv_mcm.shell import fake_pipelines as fake
-
-
-async def rest_of(queue: EventQueue) -> list[SourceEvent]:
-    events = []
-    while (queued := await queue.get()) is not None:
-        events.append(queued.event)
-    return events
-
-
-def test_the_oldest_ping_is_dropped_and_everything_else_is_bounded_too() -> None:
-    seen: list[SourceEvent] = []
-
-    async def run() -> tuple[list[SourceEvent], Counter[str]]:
-        counters: Counter[str] = Counter()
-
-        def see(event: SourceEvent) -> int:
-            seen.append(event)
-            return len(seen)
-
-        queue = EventQueue(3, counters, see)
-        for number in range(5):
-            queue.push(fake.navigation(number))
-            queue.push(fake.ping(number))
-        for number in range(100):
-            queue.push(fake.navigation(100 + number))
-        queue.close()
-        return await rest_of(queue), counters
-
-    events, counters = asyncio.run(run())
-    assert [event.number for event in events if isinstance(event, Ping)] == [2, 3, 4]
-    navigation = [event.time_s - fake.START_S for event in events if isinstance(event, NavSample)]
-    assert navigation == [*range(152, 200)]
-    assert counters == {"service.ping_dropped": 2, "service.event_dropped": 105 - len(navigation)}
-    assert len(seen) == 110, "what is dropped was seen all the same"
 
 
 @given(st.lists(st.booleans(), max_size=300), st.integers(1, 6), st.lists(st.integers(0, 3), max_size=300))
@@ -55,7 +21,13 @@ def test_a_chatty_navigation_wire_displaces_no_ping(is_ping: list[bool], max_pin
 
     async def run() -> None:
         counters: Counter[str] = Counter()
-        queue = EventQueue(max_pings, counters)
+        seen: list[SourceEvent] = []
+
+        def see(event: SourceEvent) -> int:
+            seen.append(event)
+            return len(seen)
+
+        queue = EventQueue(max_pings, counters, see)
         expected: list[tuple[int, bool]] = []
         n_dropped: Counter[str] = Counter()
         for number, (ping, n) in enumerate(zip_longest(is_ping, n_taken)):
@@ -71,9 +43,11 @@ def test_a_chatty_navigation_wire_displaces_no_ping(is_ping: list[bool], max_pin
                 taken = await queue.get()
                 assert taken is not None
                 number, was_ping = expected.pop(0)
+                assert taken.number == number + 1
                 assert taken.event.time_s == fake.START_S + number  # type: ignore[union-attr]
                 assert isinstance(taken.event, Ping) == was_ping
         assert counters == n_dropped
+        assert len(seen) == len(is_ping), "what is dropped was seen all the same"
         assert queue.pings == sum(ping for _, ping in expected)
 
     asyncio.run(run())

@@ -10,6 +10,7 @@ import pytest
 
 from auv_mcm.records import NAN
 from auv_mcm.shell.journal import Journal
+from tests.make.disks import full
 
 
 def test_journal_lines_survive_a_second_opening(tmp_path: Path) -> None:
@@ -32,12 +33,8 @@ def test_a_full_disk_tears_no_journal_line_and_loses_none(
     path = tmp_path / "j.jsonl"
     journal = Journal(path)
     journal.append([{"number": 0}])
-    with monkeypatch.context() as full:
-
-        def no_space(_: int) -> None:
-            raise OSError(28, "No space left on device")
-
-        full.setattr("auv_mcm.shell.journal.os.fsync", no_space)
+    with monkeypatch.context() as disk:
+        disk.setattr("auv_mcm.shell.journal.os.fsync", full)
         with pytest.raises(OSError, match="No space"):
             journal.append([{"number": 1, "text": "x" * 50}] * n_records)
         assert lines_of(path) == [{"number": 0}]

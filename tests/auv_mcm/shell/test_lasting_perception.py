@@ -16,6 +16,7 @@ from auv_mcm.shell.perception_chain import MakePipeline
 from auv_mcm.source import EventSink
 from tests.auv_mcm.shell import fake_pipelines as fake
 from tests.auv_mcm.shell.service_runs import Events, journal, mission, serve, summary
+from tests.make.disks import full
 
 Served = tuple[Path, list[str]]
 """The folder of a session, and what was said on the way."""
@@ -62,9 +63,6 @@ def test_a_mission_whose_perception_ends_on_the_way_gives_the_same_as_one_undist
 def test_contacts_after_events_that_the_disk_did_not_take_have_numbers_of_their_own(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def full(path: Path) -> None:
-        raise OSError(28, "No space left on device")
-
     monkeypatch.setenv("FAILED_ONCE", str(tmp_path / "failed"))
     monkeypatch.setattr("auv_mcm.shell.event_spool.open_new", full)
     results = serve(tmp_path / "out", Events(mission(30)), fake.DyingOnce)

@@ -14,12 +14,10 @@ from auv_mcm.shell.perception_messages import PerceptionError
 from auv_mcm.shell.recovery import BALLAST_BYTES, Ballast
 from tests.auv_mcm.shell import fake_pipelines as fake
 from tests.auv_mcm.shell.service_runs import RESULTS, Events, ids, journal, mission, serve, summary
+from tests.make.disks import full
 
 
 def test_contacts_are_announced_even_if_the_disk_is_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(*_: object) -> None:
-        raise OSError(28, "No space left on device")
-
     lines: list[str] = []
     monkeypatch.setattr("auv_mcm.shell.journal.Journal.append", full)
     results = serve(tmp_path, Events(mission(4)), console=lines.append)
@@ -30,9 +28,6 @@ def test_contacts_are_announced_even_if_the_disk_is_full(tmp_path: Path, monkeyp
 def test_what_a_full_disk_does_not_take_is_counted_reported_and_still_among_the_results(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    def full(*_: object) -> int:
-        raise OSError(28, "No space left on device")
-
     def full_of_pictures(new: Path, old: Path, replace: Callable[..., None] = os.replace, **folders: int) -> None:
         if old.suffix == ".png":
             full()
@@ -83,7 +78,7 @@ def test_a_disk_too_full_for_one_result_takes_the_others_and_the_error_names_wha
 ) -> None:
     def full_for_the_largest(new: Path, old: Path, replace: Callable[..., None] = os.replace, **folders: int) -> None:
         if old.name in ("contacts.geojson", "coverage.geojson"):
-            raise OSError(28, "No space left on device")
+            full()
         replace(new, old, **folders)
 
     monkeypatch.setattr("auv_mcm.safe_files.os.replace", full_for_the_largest)

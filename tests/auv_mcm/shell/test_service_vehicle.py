@@ -24,8 +24,9 @@ from auv_mcm.settings.vehicle_settings import VehicleConfig
 from auv_mcm.shell.health.judge import Computer
 from auv_mcm.shell.perception_chain import MakePipeline
 from auv_mcm.shell.service import Service
-from auv_mcm.source import AnnouncedContact, EventSink, PortState, QuantityState, Record, SourceHealth
+from auv_mcm.source import AnnouncedContact, EventSink
 from tests.auv_mcm.shell import fake_pipelines as fake
+from tests.auv_mcm.shell import service_runs
 
 FENCED = VehicleConfig(command=True, fence_deg=((42.99, 4.99), (42.99, 5.01), (43.01, 5.01), (43.01, 4.99)))
 
@@ -67,25 +68,15 @@ class Vehicle:
         return [word for word, _ in self.reports]
 
 
-class Ports:
+class Ports(service_runs.Ports):
     """A live source with a vehicle; it gives pings and navigation at 100 Hz until it is stopped."""
 
-    lossless = False
-
     def __init__(self, vehicle: Vehicle | None = None) -> None:
-        self.vehicle = vehicle or Vehicle()
+        super().__init__(())
+        self.vehicle: Vehicle = vehicle or Vehicle()
         self.wrong: list[str] = []
         self.unlike: dict[str, Any] = {}  # what navigation gives otherwise
         self.is_served = False
-        self._stopped = False
-
-    def record_with(self, record: Record) -> None: ...
-
-    def stop(self) -> None:
-        self._stopped = True
-
-    def health(self) -> SourceHealth:
-        return SourceHealth((PortState("one", "up", 1, 0, 0.0),), (QuantityState("position", "one", 0.0),))
 
     def faults(self) -> list[str]:
         return list(self.wrong)
@@ -102,7 +93,7 @@ class Ports:
 
     async def run(self, sink: EventSink) -> None:
         number = 0
-        while not self._stopped:
+        while not self._stopped.is_set():
             sink.push(msgspec.structs.replace(fake.navigation(number % 10), **self.unlike))
             sink.push(fake.ping(number))
             number += 1

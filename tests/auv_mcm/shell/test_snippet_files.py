@@ -8,6 +8,7 @@ import pytest
 
 from auv_mcm.errors import UsageError
 from auv_mcm.shell.snippet_files import Snippets, make_results_directory, write_snippets
+from tests.make.disks import full
 
 
 def test_snippets_of_an_earlier_replay_go_and_other_files_stay(tmp_path: Path) -> None:
@@ -52,11 +53,8 @@ def test_pictures_that_a_full_disk_does_not_take_are_written_later_and_none_is_l
     snippets = Snippets(tmp_path)
     snippets.write({"C1": b"one"})
 
-    def no_space(*_: object, **__: object) -> None:
-        raise OSError(28, "No space left on device")
-
-    with monkeypatch.context() as full:
-        full.setattr("auv_mcm.safe_files.os.replace", no_space)
+    with monkeypatch.context() as disk:
+        disk.setattr("auv_mcm.safe_files.os.replace", full)
         for pictures in ({"C2": b"two", "C3": b"three"}, {"C2": b"again"}):
             with pytest.raises(OSError, match="No space"):
                 snippets.write(pictures)

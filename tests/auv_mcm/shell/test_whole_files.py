@@ -12,6 +12,7 @@ from auv_mcm.records import NAN
 from auv_mcm.shell.journal import Journal
 from auv_mcm.shell.snippet_files import make_results_directory, write_snippets
 from auv_mcm.shell.whole_files import make_directory, write_file, write_json
+from tests.make.disks import full
 
 
 def test_a_file_is_replaced_whole_and_leaves_nothing_beside_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -19,11 +20,7 @@ def test_a_file_is_replaced_whole_and_leaves_nothing_beside_it(tmp_path: Path, m
     write_file(path, b"old")
     write_file(path, b"new")
     assert [entry.name for entry in tmp_path.iterdir()] == ["a.bin"]
-
-    def fail(descriptor: int) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("os.fsync", fail)
+    monkeypatch.setattr("os.fsync", full)
     with pytest.raises(OSError, match="No space"):
         write_file(path, b"newer")
     assert path.read_bytes() == b"new"
