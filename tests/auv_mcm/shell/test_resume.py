@@ -154,6 +154,8 @@ def test_a_session_cut_off_twice_goes_on_from_its_checkpoints_with_all_that_was_
 
     asyncio.run(run(events(0, 12), 4))
     asyncio.run(run(events(12, 18), 6))
+    newest = max((tmp_path / "latest" / "state").glob("checkpoint-*"))
+    newest.write_bytes(b"torn: the one before serves")
     after = serve(tmp_path, events(18, 24))
     assert ids(after.folder) == journal(after.folder) == EXPECTED
     covered = json.loads((after.folder / "coverage.geojson").read_bytes())["features"]
