@@ -108,10 +108,6 @@ class Aperture:
             "part": low_pass_taps(aperture.pixels_per_resolution * n_views),
         }
 
-    def squint_rad(self, view: int) -> float:
-        """Return the middle of a sub-aperture's bearings, positive ahead of abeam."""
-        return float(np.mean(self._angles[view]))
-
     def strip(self, leg: Leg, number: int) -> Strip:
         """Place the image of a leg, at the track's altitude above the mean floor along it.
 
@@ -153,7 +149,7 @@ class Aperture:
         return poses
 
     def lines(self, strip: Strip, start_s: float, first_number: int) -> Iterator[tuple[SonarPose, Ping]]:
-        """Return all lines of the recorded view, numbered from `first_number`, with the poses they are given at.
+        """Yield all lines of the recorded view, numbered from `first_number`, with the poses they are given at.
 
         No ping carries an altitude.
         """
@@ -163,19 +159,10 @@ class Aperture:
             intensity = self.intensity(strip, first, n_lines, self.aperture.view)
             yield from zip(poses, self.sea.record(intensity, poses, first_number + first), strict=True)
 
-    def views(self, strip: Strip, first_line: int, n_lines: int) -> Float32s:
-        """Return the same lines through all sub-apertures, aft to ahead:
-
-        (sub_apertures, n_lines, 2, n_samples) float32 as of `intensity`.
-        """
-        return np.stack(
-            [self.intensity(strip, first_line, n_lines, view) for view in range(self.aperture.sub_apertures)]
-        )
-
     def intensity(self, strip: Strip, first_line: int, n_lines: int, view: View) -> Float32s:
         """Return the speckled image with noise, (n_lines, 2, n_samples) float32, port first.
 
-        It is in units of `reference`.
+        It is in units of `reference`. view: of the sub-apertures, which count from aft to ahead.
         """
         sonar, seed = self.sea.sonar, self.sea.scene.seed
         line_taps, range_taps = self._line_taps["full" if view == "full" else "part"], self._range_taps

@@ -144,11 +144,6 @@ SEDIMENTS: Final[Mapping[str, Sediment]] = MappingProxyType(
 )
 
 
-def extrapolated(frequency_hz: float) -> bool:
-    """Report whether the frequency lies outside the model's data, so that levels, and less so shapes, are a guess."""
-    return not LOWEST_HZ <= frequency_hz <= HIGHEST_HZ
-
-
 def backscatter(
     sediment: Sediment,
     frequency_hz: float,
@@ -167,7 +162,7 @@ def backscatter(
             raise ValueError(f"{name} is {value}; it must be a positive number")
     frequency_of_shape_hz = min(max(frequency_hz, LOWEST_HZ), HIGHEST_HZ)
     sigma = _cross_section(sediment, frequency_of_shape_hz / sound_speed_mps, np.asarray(grazing_rad, dtype=np.float64))
-    if extrapolated(frequency_hz):
+    if frequency_of_shape_hz != frequency_hz:
         middle = np.array(_LEVEL_GRAZING_RAD)
         at_frequency = _cross_section(sediment, frequency_hz / sound_speed_mps, middle)
         sigma *= at_frequency / _cross_section(sediment, frequency_of_shape_hz / sound_speed_mps, middle)

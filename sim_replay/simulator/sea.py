@@ -143,7 +143,7 @@ class Sea:
     def sound(
         self, poses: Sequence[SonarPose], first_number: int, altitudes_m: Sequence[float] | None = None
     ) -> list[Ping]:
-        """Yield pings numbered from `first_number`, one per pose.
+        """Return pings numbered from `first_number`, one per pose.
 
         altitudes_m: by the sonar's altimeter, unknown if omitted.
 

@@ -165,7 +165,7 @@ class SteeredVehicle:
             self._place = float(east_m), float(north_m)
 
     def fly(self, n_poses: int, rate_hz: float) -> list[SonarPose]:
-        """Yield the next poses, `rate_hz` per second; the first of all is the start."""
+        """Return the next poses, `rate_hz` per second; the first of all is the start."""
         poses = []
         n_ticks = math.ceil(1.0 / rate_hz / _TICK_S)
         for _ in range(n_poses):

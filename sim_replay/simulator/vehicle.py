@@ -152,11 +152,6 @@ class Vehicle:
         """Report whether the last leg lies behind."""
         return self._piece_now == len(self._pieces) - 1
 
-    def step(self, dt_s: float) -> SonarPose:
-        """Return the pose after another dt_s >= 0 seconds; the first one after step(0)."""
-        self._fly_to(self._now_s + dt_s, stop_at_leg=False)
-        return self._pose()
-
     def poses(self, rate_hz: float) -> Iterator[SonarPose]:
         """Yield the poses from now until the plan is done, `rate_hz` per second.
 

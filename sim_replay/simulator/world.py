@@ -175,25 +175,6 @@ class SimulatedFloor:
             chosen = (patch_row == place[0]) & (patch_column == place[1])
             yield chosen, int(patch.slots[0, 0]), row[chosen] - place[0] * PATCH, column[chosen] - place[1] * PATCH
 
-    def stones(self, east_min: float, east_max: float, north_min: float, north_max: float) -> NDArray[np.float64]:
-        """Return stones whose middles lie in an area (m, lower bounds included).
-
-        Returns (n, 6) float64: east, north, length, width, height above the floor around (m), azimuth of the length
-        (rad).
-        """
-        size_m = PATCH * self.cell_m
-        found = [np.empty((0, 6))]
-        for patch_row in range(math.floor(north_min / size_m), math.ceil(north_max / size_m)):
-            for patch_column in range(math.floor(east_min / size_m), math.ceil(east_max / size_m)):
-                east = max(east_min, patch_column * size_m), min(east_max, (patch_column + 1) * size_m)
-                north = max(north_min, patch_row * size_m), min(north_max, (patch_row + 1) * size_m)
-                found.append(
-                    self._stones_within(
-                        patch_row, patch_column, self._coarse_fields(patch_row, patch_column), east, north
-                    )
-                )
-        return np.concatenate(found)
-
     def _coarse_fields(self, patch_row: int, patch_column: int) -> FloatArray | None:
         """Return the kinds' fields on the coarse nodes of a patch.
 
@@ -204,26 +185,6 @@ class SimulatedFloor:
         nodes, margin = PATCH // self._step, self._margin
         size = nodes + 4 + 2 * margin
         return self._partition.fields(patch_row * nodes - 1 - margin, patch_column * nodes - 1 - margin, size, size)
-
-    def _stones_within(
-        self,
-        patch_row: int,
-        patch_column: int,
-        fields: FloatArray | None,
-        east: tuple[float, float],
-        north: tuple[float, float],
-    ) -> NDArray[np.float64]:
-        nodes, before, spacing_m = PATCH // self._step, 1 + self._margin, self._step * self.cell_m
-
-        def label_at(east_m: NDArray[np.float64], north_m: NDArray[np.float64]) -> Labels:
-            if fields is None:
-                return np.zeros(east_m.shape, dtype=np.uint8)
-            row = np.rint(north_m / spacing_m).astype(np.intp) - (patch_row * nodes - before)
-            column = np.rint(east_m / spacing_m).astype(np.intp) - (patch_column * nodes - before)
-            highest: Labels = np.argmax(fields[:, row, column], axis=0).astype(np.uint8)
-            return highest
-
-        return self._stones.within(*east, *north, label_at)
 
     def _make(self, patch_row: int, patch_column: int, slot: int) -> None:
         nodes, margin = PATCH // self._step, self._margin
@@ -315,7 +276,17 @@ class SimulatedFloor:
         reach, size_m = self._stones.reach_m, PATCH * self.cell_m
         east = patch_column * size_m - reach, (patch_column + 1) * size_m + reach
         north = patch_row * size_m - reach, (patch_row + 1) * size_m + reach
-        stones = self._stones_within(patch_row, patch_column, fields, east, north)
+        nodes, before, spacing_m = PATCH // self._step, 1 + self._margin, self._step * self.cell_m
+
+        def label_at(east_m: NDArray[np.float64], north_m: NDArray[np.float64]) -> Labels:
+            if fields is None:
+                return np.zeros(east_m.shape, dtype=np.uint8)
+            row = np.rint(north_m / spacing_m).astype(np.intp) - (patch_row * nodes - before)
+            column = np.rint(east_m / spacing_m).astype(np.intp) - (patch_column * nodes - before)
+            highest: Labels = np.argmax(fields[:, row, column], axis=0).astype(np.uint8)
+            return highest
+
+        stones = self._stones.within(*east, *north, label_at)
         if len(stones):
             layer = np.zeros((NODES, NODES), dtype=np.float32)
             raise_stones(layer, stones, patch_row * PATCH, patch_column * PATCH, self.cell_m)

@@ -17,7 +17,6 @@ from sim_replay.simulator.backscatter import (
     TABLE_SIZE,
     Sediment,
     backscatter,
-    extrapolated,
     lambert,
     lookup_table,
     sediment_from_grain_size,
@@ -117,10 +116,6 @@ def test_beyond_the_band_the_shape_stays_and_the_level_follows_the_roughness(nam
 def test_level_has_no_step_where_extrapolation_begins(name: str) -> None:
     just_beyond = strength_db(SEDIMENTS[name], HIGHEST_HZ * (1.0 + 1e-9), GRAZING_DEG)
     np.testing.assert_allclose(just_beyond, strength_db(SEDIMENTS[name], HIGHEST_HZ, GRAZING_DEG), atol=1e-6)
-
-
-def test_extrapolation_is_reported() -> None:
-    assert [extrapolated(hz) for hz in (9.9e3, 10e3, 100e3, 100.1e3, 900e3)] == [True, False, False, True, True]
 
 
 def test_rays_along_the_floor_and_beyond_the_vertical_take_the_nearest_angle() -> None:

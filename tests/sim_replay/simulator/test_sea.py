@@ -1,5 +1,4 @@
-"""The sea's levels against the sonar equation, its speckle against its laws, and its pings the same bytes however they
-are made."""
+"""The sea's levels against the sonar equation, and its speckle against its laws."""
 
 from __future__ import annotations
 

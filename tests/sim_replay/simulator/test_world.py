@@ -14,7 +14,7 @@ from sim_replay.simulator import scene
 from sim_replay.simulator.fields import generator
 from sim_replay.simulator.scene import Ripples, Seabed, SeabedType
 from sim_replay.simulator.seabeds import USUAL, cover_of
-from sim_replay.simulator.stones import AZIMUTH, EAST, HEIGHT, LENGTH, NORTH, WIDTH
+from sim_replay.simulator.stones import AZIMUTH, EAST, HEIGHT, LENGTH, NORTH, WIDTH, Stones
 from sim_replay.simulator.world import NODES, PATCH, Patches, SimulatedFloor
 
 TYPES: tuple[SeabedType, ...] = get_args(SeabedType)
@@ -283,9 +283,14 @@ def test_single_places_give_single_values() -> None:
     assert SimulatedFloor(scene.World(), 1).elevation_m(-1234.5, 17.0).shape == ()
 
 
+def stones_within(seabed: Seabed, seed: int, area_m: tuple[float, float, float, float]) -> NDArray[np.float64]:
+    """Of a floor of one kind. area_m: from east to east, from north to north."""
+    return Stones([cover_of(seabed)], seed).within(*area_m, lambda east, _: np.zeros(east.shape, dtype=np.uint8))
+
+
 def test_stones_have_the_density_and_the_size_law_asked() -> None:
     seabed = Seabed(type="boulder_field", stones_per_ha=2000.0, stone_m=0.3)
-    stones = SimulatedFloor(scene.World(seabeds=(seabed,)), 3).stones(-100.0, 100.0, -50.0, 100.0)
+    stones = stones_within(seabed, 3, (-100.0, 100.0, -50.0, 100.0))
     assert len(stones) == pytest.approx(6000, rel=0.05)
     for longer_m in (0.45, 0.6, 1.0):
         expected = (longer_m / 0.3) ** -2.5
@@ -296,10 +301,11 @@ def test_stones_have_the_density_and_the_size_law_asked() -> None:
     assert np.all((stones[:, AZIMUTH] >= 0.0) & (stones[:, AZIMUTH] < 2.0 * np.pi))
 
 
-def test_stones_of_an_area_are_those_of_its_parts(motley: SimulatedFloor) -> None:
-    whole_area = motley.stones(-30.0, 30.0, -17.0, 30.0)
+def test_stones_of_an_area_are_those_of_its_parts() -> None:
+    seabed = Seabed(type="gravel")
+    whole_area = stones_within(seabed, 5, (-30.0, 30.0, -17.0, 30.0))
     parts = [
-        motley.stones(east, east + 15.0, north, north + 23.5)
+        stones_within(seabed, 5, (east, east + 15.0, north, north + 23.5))
         for north in (-17.0, 6.5)
         for east in (-30.0, -15.0, 0.0, 15.0)
     ]
@@ -309,16 +315,19 @@ def test_stones_of_an_area_are_those_of_its_parts(motley: SimulatedFloor) -> Non
 
 
 def test_stones_lie_on_kinds_that_have_them() -> None:
-    seabeds = BARE, Seabed(type="boulder_field", stones_per_ha=3000.0)
-    world = SimulatedFloor(scene.World(seabeds=seabeds, patch_m=10.0), 3)
-    stones = world.stones(0.0, 40.0, 0.0, 40.0)
-    assert np.mean(world.seabed_at(stones[:, EAST], stones[:, NORTH]) == 1) > 0.9
+    stony = Seabed(type="boulder_field", relief_rms_m=0.0, stones_per_ha=3000.0)
+    world = SimulatedFloor(scene.World(seabeds=(BARE, stony), patch_m=10.0, relief_rms_m=0.0), 3)
+    patches = world.patches(whole(3, 3), 0, 0)
+    height, kind = joined(patches, patches.elevation), joined(patches, patches.seabed)
+    assert 0.3 < np.mean(kind) < 0.7
+    assert np.count_nonzero(height) > 1000
+    assert np.mean(kind[height > 0.0]) > 0.9
 
 
 def test_stones_rise_from_the_floor_and_echo_more() -> None:
     seabed = Seabed(type="sand", relief_rms_m=0.0, texture_shape=0.0, stones_per_ha=60.0, stone_m=0.8)
     world = SimulatedFloor(scene.World(seabeds=(seabed,), relief_rms_m=0.0), 11)
-    stones = world.stones(1.0, 49.0, 1.0, 49.0)
+    stones = stones_within(seabed, 11, (1.0, 49.0, 1.0, 49.0))
     patches = world.patches(whole(4, 4), 0, 0)
     height, texture = joined(patches, patches.elevation), joined(patches, patches.texture)
     assert len(stones) > 5
