@@ -47,6 +47,12 @@ def sample_type(recorder: SampleRecorder) -> SampleType:
     return _TYPES[recorder.samples][0]
 
 
+def largest_sample(recorder: SampleRecorder) -> int | None:
+    """Return the largest number that the recorder's samples hold; None for floats."""
+    kind = np.dtype(_TYPES[recorder.samples][1])
+    return int(np.iinfo(kind).max) if kind.kind == "u" else None
+
+
 def record(
     intensity: NDArray[np.float32], gain: NDArray[np.float64], n_ringing: int, recorder: SampleRecorder, bin_m: float
 ) -> list[EchoTrace]:

@@ -34,6 +34,7 @@ TARGET_KINDS: Final[frozenset[str]] = frozenset({"cylinder", "sphere", "truncate
 Direction = Annotated[float, Meta(ge=-360.0, le=720.0)]
 Decibel = Annotated[float, Meta(ge=-100.0, le=100.0)]
 Length = Annotated[float, Meta(ge=0.0, le=200.0)]
+Tilt = Annotated[float, Meta(ge=-45.0, le=45.0)]  # degrees
 SizeRange = tuple[Length, Length]
 Frequency = Annotated[float, Meta(ge=10.0, le=3000.0)]  # kHz
 MaxRange = Annotated[float, Meta(gt=1.0, le=1000.0)]  # m
@@ -135,7 +136,7 @@ class SceneObject(_Section, frozen=True, kw_only=True):
     along_m: float | None = None
     across_m: float | None = None
     azimuth_deg: Direction = 0.0
-    tilt_deg: Annotated[float, Meta(ge=-45.0, le=45.0)] = 0.0
+    tilt_deg: Tilt = 0.0
     burial_m: Length = 0.0
     scour_m: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
     above_m: Length = 0.0
@@ -166,7 +167,7 @@ class Scatter(_Section, frozen=True, kw_only=True):
     width_m: SizeRange | None = None
     height_m: SizeRange | None = None
     burial_m: SizeRange = (0.0, 0.0)
-    tilt_deg: tuple[float, float] = (0.0, 0.0)
+    tilt_deg: tuple[Tilt, Tilt] = (0.0, 0.0)
     scour_m: SizeRange = (0.0, 0.0)
     strength_db: tuple[Decibel, Decibel] | None = None
     natural_sizes: bool = False
@@ -222,8 +223,9 @@ class Sonar(_Section, frozen=True, kw_only=True):
 
     absorption_db_per_km: left out, from the frequency. noise_db: noise floor against the echo of a flat floor of the
     scene's first type midway between its first return and range_m. range_resolution_m: half power; its point-spread
-    function correlates the speckle (0: independent samples). speckle_along_track_m: distance over which speckle stays
-    correlated from ping to ping, 0 for none. looks: averaged per sample. beam_lines: rays that stand for the horizontal
+    function correlates the speckle (0: independent samples). speckle_along_track_m: distance over which speckle, and
+    noise with it, stays correlated from ping to ping, 0 for none; edges then stay sharp along range. looks: averaged
+    per sample. beam_lines: rays that stand for the horizontal
     beam. ring_down_m: of the transmitter. *_db: level of the echo of the surface, of the other side, and of the bottom
     by way of the surface, against what the direct echo of the bottom is; left out: none.
     """

@@ -12,12 +12,18 @@ import msgspec
 
 from auv_mcm.errors import UsageError
 from auv_mcm.settings.strict_yaml import explain_validation_error, load_mapping, read_text
+from sim_replay.simulator.echo import absorption_db_per_km
+from sim_replay.simulator.objects import BY_WIDTH, USUAL
 from sim_replay.simulator.plan import Leg, place_in_plane, planned_legs, swath_m
-from sim_replay.simulator.scene import Scene, SceneObject
+from sim_replay.simulator.recording import largest_sample
+from sim_replay.simulator.scene import ObjectKind, Scene, SceneObject
+from sim_replay.simulator.speckle import WIDEST
 from sim_replay.simulator.vehicle import STRONGEST_CURRENT
 
 FIERCEST_TEXTURE: Final = 0.1  # a Gamma law of smaller shape is all zeros and spikes
 HIGHEST_SHARE: Final = 0.8  # of the altitude that an object may be high
+_MOST_ABSORBED_DB: Final = 200.0  # dB to midway and back: beyond the span of any converter, and of 32-bit floats
+_STEEPEST_PITCH_DEG: Final = 80.0  # degrees: beyond, what looks abeam soon looks at no floor at all
 _CORNERED: Final = frozenset({"rock", "slab", "box", "wedge", "boulder_cluster", "debris"})  # their hull needs a size
 _SHIPPED: Final = resources.files("sim_replay") / "scenes"
 
@@ -81,18 +87,13 @@ def _contradictions(scene: Scene) -> Iterator[str]:
             f"`track.motion.current_mps` is {current:g}: the vehicle, at `track.speed_mps`, stays on track in "
             f"{strongest:g}"
         )
-    travel_s = 2.0 * sonar.range_m / sonar.sound_speed_mps
-    if sonar.synthetic_aperture is None and sonar.ping_rate_hz * travel_s > 1.0 + 1e-9:
+    tipped_deg = abs(track.motion.pitch_offset_deg) + 4.0 * track.motion.pitch_sigma_deg
+    if tipped_deg > _STEEPEST_PITCH_DEG:
         yield (
-            f"`sonar.ping_rate_hz` is {sonar.ping_rate_hz:g}: an echo from `sonar.range_m` of {sonar.range_m:g} m "
-            f"takes {travel_s:.3f} s, so at most {1.0 / travel_s:.1f} Hz"
+            f"`track.motion.pitch_sigma_deg` is {track.motion.pitch_sigma_deg:g}: four of them and `pitch_offset_deg` "
+            f"make {tipped_deg:g} degrees, of {_STEEPEST_PITCH_DEG:g} at most"
         )
-    aperture = sonar.synthetic_aperture
-    if aperture is not None and aperture.view != "full" and aperture.view >= aperture.sub_apertures:
-        yield (
-            f"`sonar.synthetic_aperture.view` is {aperture.view}: there are {aperture.sub_apertures} sub-apertures, "
-            "the first is 0"
-        )
+    yield from _sonar_contradictions(scene)
     for index, seabed in enumerate(world.seabeds):
         if seabed.texture_shape is not None and 0.0 < seabed.texture_shape < FIERCEST_TEXTURE:
             yield (
@@ -108,6 +109,43 @@ def _contradictions(scene: Scene) -> Iterator[str]:
         for reason in _object_contradictions(scene, scene_object, legs):
             yield f"`objects[{index}]` ({scene_object.kind}): {reason}"
     yield from _scatter_contradictions(scene)
+
+
+def _sonar_contradictions(scene: Scene) -> Iterator[str]:
+    sonar, recorder = scene.sonar, scene.sonar.recorder
+    travel_s = 2.0 * sonar.range_m / sonar.sound_speed_mps
+    if sonar.synthetic_aperture is None and sonar.ping_rate_hz * travel_s > 1.0 + 1e-9:
+        yield (
+            f"`sonar.ping_rate_hz` is {sonar.ping_rate_hz:g}: an echo from `sonar.range_m` of {sonar.range_m:g} m "
+            f"takes {travel_s:.3f} s, so at most {1.0 / travel_s:.1f} Hz"
+        )
+    largest = largest_sample(recorder)
+    if recorder.full_scale is not None and largest is not None and recorder.full_scale > largest:
+        yield f"`sonar.recorder.full_scale` is {recorder.full_scale}: `{recorder.samples}` holds at most {largest}"
+    absorbed_db = 1e-3 * absorption_db_per_km(sonar, scene.world.depth_m) * (scene.track.altitude_m + sonar.range_m)
+    if absorbed_db > _MOST_ABSORBED_DB:
+        yield (
+            f"`sonar.range_m` is {sonar.range_m:g}: at `sonar.frequency_khz` {sonar.frequency_khz:g} the water takes "
+            f"{absorbed_db:.0f} dB of an echo from midway, of {_MOST_ABSORBED_DB:g} at most; give less of either, or "
+            "`sonar.absorption_db_per_km`"
+        )
+    aperture = sonar.synthetic_aperture
+    if aperture is None:
+        wide = {
+            "range_resolution_m": sonar.range_m / sonar.n_samples,
+            "speckle_along_track_m": scene.track.speed_mps / sonar.ping_rate_hz,
+        }
+        for name, step_m in wide.items():
+            if getattr(sonar, name) > WIDEST * step_m:
+                yield (
+                    f"`sonar.{name}` is {getattr(sonar, name):g}: more than {WIDEST} steps of {step_m:.3g} m; give at "
+                    f"most {math.floor(1e3 * WIDEST * step_m) / 1e3:g}"
+                )
+    if aperture is not None and aperture.view != "full" and aperture.view >= aperture.sub_apertures:
+        yield (
+            f"`sonar.synthetic_aperture.view` is {aperture.view}: there are {aperture.sub_apertures} sub-apertures, "
+            "the first is 0"
+        )
 
 
 def _scatter_contradictions(scene: Scene) -> Iterator[str]:
@@ -133,8 +171,12 @@ def _scatter_contradictions(scene: Scene) -> Iterator[str]:
                 yield f"`{where}.{name}` starts at 0; a {group.kind} needs a smallest size above 0"
         if group.natural_sizes and group.length_m is not None and group.length_m[0] <= 0.0:
             yield f"`{where}.length_m` starts at 0; natural sizes need a smallest one above 0"
-        if group.height_m is not None and group.height_m[1] > HIGHEST_SHARE * scene.track.altitude_m:
-            yield _too_high(f"{where}.height_m", group.height_m[1], scene.track.altitude_m)
+        if group.natural_sizes and USUAL[group.kind].length_m == 0.0:
+            yield f"`{where}.natural_sizes`: a {group.kind} has no size"
+        key = _height_key(group.kind)
+        highest_m = (ranges.get(key) or (0.0, 0.0))[1]
+        if highest_m > HIGHEST_SHARE * scene.track.altitude_m:
+            yield _too_high(f"{where}.{key}", highest_m, scene.track.altitude_m)
 
 
 def _slope_contradictions(scene: Scene, legs: Sequence[Leg]) -> Iterator[str]:
@@ -177,26 +219,27 @@ def _object_contradictions(scene: Scene, scene_object: SceneObject, legs: Sequen
     for name in ("length_m", "width_m", "height_m"):
         if getattr(scene_object, name) == 0.0 and scene_object.kind in _CORNERED:
             yield f"`{name}` is 0: give a size above 0, or leave it out for the usual one"
-    altitude = scene.track.altitude_m
-    if (
-        scene_object.height_m is not None
-        and scene_object.kind != "anchor_scar"
-        and scene_object.height_m > HIGHEST_SHARE * altitude
-    ):
-        yield _too_high("height_m", scene_object.height_m, altitude)
-    if scene_object.above_m + (scene_object.height_m or 0.0) > HIGHEST_SHARE * altitude:
-        yield _too_high("above_m", scene_object.above_m + (scene_object.height_m or 0.0), altitude)
-    if (
-        scene_object.top_m is not None
-        and scene_object.width_m is not None
-        and scene_object.top_m > scene_object.width_m
-    ):
-        yield f"`top_m` is {scene_object.top_m:g} m, wider than its base of {scene_object.width_m:g} m"
+    altitude, key = scene.track.altitude_m, _height_key(scene_object.kind)
+    height_m = getattr(scene_object, key, None) or 0.0
+    if height_m > HIGHEST_SHARE * altitude:
+        yield _too_high(key, height_m, altitude)
+    if scene_object.above_m + height_m > HIGHEST_SHARE * altitude:
+        yield _too_high("above_m", scene_object.above_m + height_m, altitude)
+    width_m = USUAL[scene_object.kind].width_m if scene_object.width_m is None else scene_object.width_m
+    if scene_object.top_m is not None and scene_object.top_m > width_m:
+        yield f"`top_m` is {scene_object.top_m:g} m, wider than its base of {width_m:g} m"
     east, north = place_in_plane(scene, scene_object)
     nearest = min(leg.distance_m(east, north) for leg in legs)
     reach = swath_m(scene)
     if nearest > reach:
         yield f"lies {nearest:.1f} m from the nearest leg; the sonar reaches {reach:.1f} m there"
+
+
+def _height_key(kind: ObjectKind) -> str:
+    """Return the key of the height that a kind rises to; none for what is dug."""
+    if kind == "anchor_scar":
+        return ""
+    return "width_m" if "height_m" in BY_WIDTH.get(kind, ()) else "height_m"
 
 
 def _too_high(key: str, height_m: float, altitude_m: float) -> str:

@@ -30,6 +30,7 @@ Float32s: TypeAlias = NDArray[np.float32]
 Keys: TypeAlias = NDArray[np.uint64]
 
 MAX_TAPS: Final = 1023  # of the correlation; equal in C
+WIDEST: Final = MAX_TAPS // 4  # samples: half-power width of a Gaussian that the taps hold
 MAX_ENERGY: Final = 1e36  # mean intensity, maximum: its speckle fits a 32-bit float
 WHITE: Final = np.ones(1, dtype=np.float32)
 WHITE.flags.writeable = False
@@ -204,8 +205,8 @@ def gaussian_taps(width: float) -> Float32s:
     Intensities `width` apart have correlation 1/4, width / sqrt(2) apart 1/2. Width 0 means independent samples.
     Returns (n_taps,) float32, sum of squares 1. Raises ValueError unless width is from 0 to what MAX_TAPS can hold.
     """
-    if not 0.0 <= width <= MAX_TAPS // 4:
-        raise ValueError(f"width is {width} samples; it must be from 0 to {MAX_TAPS // 4}")
+    if not 0.0 <= width <= WIDEST:
+        raise ValueError(f"width is {width} samples; it must be from 0 to {WIDEST}")
     if width == 0.0:
         return WHITE
     half = math.ceil(2.0 * width)  # less than 0.4 % of the amplitude is cut off
