@@ -21,7 +21,7 @@ from auv_mcm.records import SIDES, Side
 from auv_mcm.settings.strict_yaml import explain_validation_error, load_mapping, read_text
 from sim_replay.augment.track import PingTrack
 from sim_replay.simulator.objects import BY_WIDTH, USUAL, PlacedObject, solid_sizes
-from sim_replay.simulator.scene import TARGET_KINDS
+from sim_replay.simulator.scene import TARGET_KINDS, Tilt
 from sim_replay.simulator.scene_file import HIGHEST_SHARE
 
 _STREAM: Final = 0x41554754  # keeps these random numbers apart from others of the same seed
@@ -35,7 +35,6 @@ Size = Annotated[float, Meta(gt=0.0, le=50.0)]
 Range = Annotated[float, Meta(ge=0.0, le=1000.0)]
 Depth = Annotated[float, Meta(ge=0.0, le=5.0)]
 Contrast = Annotated[float, Meta(ge=-30.0, le=60.0)]
-Tilt = Annotated[float, Meta(ge=-45.0, le=45.0)]
 SideName: TypeAlias = Literal["port", "starboard"]
 
 USUAL_CONTRAST_DB: Final = 14.0  # dB of a target's echo over the sea floor
