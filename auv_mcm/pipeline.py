@@ -310,7 +310,9 @@ class Pipeline:
                     tiles = self._waterfall.close_segment()
                 events += self._look(tiles)
                 events += self._conclude([self._suppressors[side].flush() for side in SIDES])
-                self._intake.start_segment(self._waterfall.next_segment_m())
+                next_m = self._waterfall.next_segment_m()
+                self._intake.start_segment(next_m)
+                self._ledger.start_segment(next_m / self._config.waterfall.row_spacing_m)
                 self._sampling.start_segment()
                 if item.transfer is not None:
                     self._waterfall.read_as(item.transfer)

@@ -73,6 +73,7 @@ class Ledger:
         self._prior = prior
         self._kept: Contacts = ContactsInMemory() if kept is None else kept
         self._n_contacts = 0
+        self._segment_row = -math.inf  # the first of the newest segment
         self._frame: LocalFrame | None = None
         self._positions_m = np.empty((0, 2))  # (at least as many as contacts, 2)
         self._asking_p = np.empty(0)  # p_mine of contacts for which a further view would help, NaN of the others
@@ -100,6 +101,10 @@ class Ledger:
         self._asking_p = _with_room(self._asking_p, self._n_contacts)
         self._asking_p[n_before : self._n_contacts] = math.nan
         self._reported.extend(bytes(self._n_contacts - len(self._reported)))
+
+    def start_segment(self, row: float) -> None:
+        """Take rows from this one on as of a vehicle that may have come back before: they do not go on from others."""
+        self._segment_row = row
 
     def add(self, detections: list[Detection]) -> list[Contact]:
         """Take the detections that became final together, in any order; return the contacts to report, by id.
@@ -189,7 +194,7 @@ class Ledger:
             offset = self._positions_m[numbers] - place
             for column in np.flatnonzero(np.hypot(offset[:, 0], offset[:, 1]) <= self._config.max_gate_m):
                 contact = near[numbers[column]]
-                if any(_same_look(detection, view) for view in contact.views):
+                if any(_same_look(detection, view, self._segment_row) for view in contact.views):
                     continue
                 distance2 = squared_deviation(offset[column], detection.covariance_m2, contact.covariance_m2)
                 if distance2 <= self._config.gate_chi2:
@@ -226,11 +231,12 @@ def _passages(detections: list[Detection]) -> list[list[Detection]]:
     return passages
 
 
-def _same_look(a: Detection, b: Detection) -> bool:
+def _same_look(a: Detection, b: Detection, segment_row: float) -> bool:
     apart_m = abs(a.row - b.row) * a.row_spacing_m
     if a.squint_rad != b.squint_rad or apart_m >= _SAME_LOOK_M:
         return False
-    return _same_passage(a, b) or (apart_m < _SAME_TRACK_M and _turned_rad(a, b) < _SAME_LOOK_RAD)
+    is_one_track = apart_m < _SAME_TRACK_M and min(a.row, b.row) >= segment_row
+    return _same_passage(a, b) or (is_one_track and _turned_rad(a, b) < _SAME_LOOK_RAD)
 
 
 def _beside(a: Detection, b: Detection) -> bool:

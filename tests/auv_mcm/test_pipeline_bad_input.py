@@ -21,7 +21,7 @@ from auv_mcm.defects import DefectWarning
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import NAN, CoveragePatch, EchoTrace, NavSample, Notice, Ping, PipelineEvent, SourceEvent
-from auv_mcm.settings.config import Config
+from auv_mcm.settings.config import Config, WaterfallConfig
 from sim_replay.simulator.scene import SceneObject, Sonar
 from tests.auv_mcm.short_missions import flown, one_leg
 
@@ -88,6 +88,19 @@ def covered_m2(events: list[PipelineEvent]) -> float:
 
 def test_the_undisturbed_mission_finds_its_target() -> None:
     assert finds_the_target(undisturbed()[0])
+
+
+def test_an_object_at_the_end_of_one_log_and_the_beginning_of_the_next_is_one_contact() -> None:
+    pipeline, of_m = Pipeline(Config(waterfall=WaterfallConfig(tile_rows=160))), len(mission()) / 32.0
+    for event in mission()[: int(18.0 * of_m)]:
+        pipeline.feed(event)
+    for event in mission()[int(13.0 * of_m) :]:
+        assert isinstance(event, Ping | NavSample)
+        pipeline.feed(msgspec.structs.replace(event, time_s=event.time_s + 1000.0))
+    pipeline.finish()
+    (contact,) = (one for one in pipeline.contacts if one.p_mine > 0.5)
+    assert len(contact.views) == 2
+    assert abs(contact.views[1].row - contact.views[0].row) * contact.views[0].row_spacing_m < 10.0
 
 
 @pytest.mark.parametrize(
