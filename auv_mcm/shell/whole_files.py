@@ -17,7 +17,7 @@ from auv_mcm.safe_files import replacing
 TAKES_NOTHING: Final = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
 """Errors of a disk that is full or can only be read: a mission goes on without it."""
 
-REMEDIES: Final = {
+_REMEDIES: Final = {
     errno.ENOSPC: "Free space on this disk",
     errno.EDQUOT: "Free space, or raise this user's quota",
     errno.EROFS: "Mount it for writing, or add it to ReadWritePaths and RequiresMountsFor of the systemd unit",
@@ -62,8 +62,13 @@ def make_directory(path: Path) -> Path:
         path.mkdir(parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=path).close()
     except OSError as error:
-        why = f"{error.strerror}. {REMEDIES.get(error.errno or 0, REMEDIES[errno.EACCES])}, or name"
-        if isinstance(error, FileExistsError | NotADirectoryError):
-            why = "a file is in its place. Name"
-        raise UsageError(f"cannot write to the output directory {path}: {why} another one.") from error
+        raise UsageError(f"cannot write to the output directory {path}: {why_refused(error)} another one.") from error
     return path
+
+
+def why_refused(error: OSError) -> str:
+    """Say why a directory takes no file and what to do, up to the last remedy, which is "another one"."""
+    if isinstance(error, FileExistsError | NotADirectoryError):
+        return "a file is in its place. Name"
+    remedy = _REMEDIES.get(error.errno or 0)
+    return f"{error.strerror}. {remedy}, or name" if remedy else f"{error.strerror}. Name"

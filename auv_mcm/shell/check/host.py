@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import errno
 import os
 import pwd
 import shutil
@@ -15,7 +14,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from auv_mcm.shell.check.finding import Finding
-from auv_mcm.shell.whole_files import REMEDIES
+from auv_mcm.shell.whole_files import why_refused
 
 PLENTY_BYTES: Final = 1 << 30
 """Free space for a day: a full serial line of 921600 baud records 0.33 GB an hour, three hours of it."""
@@ -157,10 +156,7 @@ def output_finding(folder: Path) -> Finding:
             probe.flush()
         free_bytes = shutil.disk_usage(existing).free
     except OSError as error:
-        remedy = REMEDIES.get(error.errno or 0, REMEDIES[errno.EACCES])
-        return Finding(
-            name, "FAILED", f"{existing} cannot be written to: {error.strerror}. {remedy}, or name another one ({key})"
-        )
+        return Finding(name, "FAILED", f"{existing} cannot be written to: {why_refused(error)} another one ({key})")
     room = f"{folder.absolute()}, {free_bytes / 1e9:.2g} GB free"
     if free_bytes < NEEDED_BYTES:
         return Finding(

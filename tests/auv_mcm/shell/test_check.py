@@ -158,6 +158,7 @@ def test_an_output_directory_below_a_file_or_behind_a_dead_link_fails(tmp_path: 
         (errno.EACCES, "Permission denied. Change its owner, or let the systemd unit wait for its disk by Requires"),
         (errno.EROFS, "Read-only file system. Mount it for writing, or add it to ReadWritePaths and RequiresMountsFor"),
         (errno.ENOSPC, "No space left on device. Free space on this disk, or name another one"),
+        (errno.ENAMETOOLONG, "File name too long. Name another one"),
     ],
 )
 def test_an_output_directory_that_takes_no_file_names_the_reason_and_its_remedy(
