@@ -24,7 +24,7 @@ from sim_replay.logs.ping_clock import spread_ties
 from sim_replay.logs.xtf_clock import timed
 from sim_replay.logs.xtf_header import LATITUDE_LONGITUDE, kind_name, name_channels
 from sim_replay.logs.xtf_layout import PROBE_PINGS, Layout, NoSideScanError, learn_layout, raise_notices
-from sim_replay.logs.xtf_navigation import Place, are_degrees, projection
+from sim_replay.logs.xtf_navigation import Place, are_degrees, is_nowhere, projection
 from sim_replay.logs.xtf_packets import FILE_FORMAT, HEADER_BLOCK, FileHeader, XtfPacket, header_bytes, read_packets
 from sim_replay.logs.xtf_pings import PingReader, RawPing, read_ahead
 from sim_replay.logs.xtf_probe import learn_change, learn_fields, learn_orders
@@ -207,12 +207,13 @@ class XtfLog:
             header, time_s = raw.header, raw.time_s if math.isfinite(raw.time_s) else float(number)
             sensor = header.SensorXcoordinate, header.SensorYcoordinate
             ship = header.ShipXcoordinate, header.ShipYcoordinate
-            positions.append((time_s, *(ship if sensor == (0.0, 0.0) else sensor)))
+            positions.append((time_s, *(ship if is_nowhere(sensor) else sensor)))
         positions += [
             (packet.time_s if math.isfinite(packet.time_s) else float(number), packet.x, packet.y)
             for number, packet in enumerate(reader.packets.positions)
         ]
-        if any(position[1:] != (0.0, 0.0) for position in positions) and not are_degrees(positions):
+        known = [position for position in positions if not is_nowhere(position[1:])]
+        if known and not are_degrees(known):
             raise BadInputError(f"{self._path}: {self._metres_text(self._layout)}")
         self._units_by_value = True
 

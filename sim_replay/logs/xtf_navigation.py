@@ -147,8 +147,9 @@ class PacketQueue:
     def add(self, kind: int, data: bytes, offset: int) -> None:
         """Take a packet that lies at a byte of the file."""
         for packet in read_packet(kind, data, self._unit):
+            has_place = not is_nowhere((packet.x, packet.y))
             for quantity, value, order in (
-                ("position", packet.x, _POSITION_FIRST),
+                ("position", packet.x if has_place else NAN, _POSITION_FIRST),
                 ("heading", packet.heading_deg, _HEADING_FIRST),
                 ("level", packet.pitch_deg, _LEVEL_FIRST),
             ):
@@ -156,7 +157,7 @@ class PacketQueue:
                     best = self._kinds.get(quantity, kind)
                     self._kinds[quantity] = min(best, kind, key=order.index)
             self._waiting.append((offset, packet))
-            if math.isfinite(packet.x) and (packet.x, packet.y) != (0.0, 0.0):
+            if has_place:
                 self.positions.append(packet)
 
     @property
@@ -189,13 +190,9 @@ class PacketQueue:
                 )
                 report.notify_once("reader.packet_time_doubted", text, report.place(packet_offset))
             latitude = longitude = NAN
-            if (
-                wanted.position
-                and self._serves("position", packet)
-                and math.isfinite(packet.x + packet.y)
-                and (packet.x, packet.y) not in (self._last, (0, 0))
-            ):
-                self._last = packet.x, packet.y
+            here = packet.x, packet.y
+            if wanted.position and self._serves("position", packet) and not is_nowhere(here) and here != self._last:
+                self._last = here
                 is_degrees = packet.kind == SERIAL  # as sentences are, whatever the log's own units
                 latitude, longitude = (packet.y, packet.x) if is_degrees else place(packet.x, packet.y)
             level = wanted.level and self._serves("level", packet)
@@ -261,14 +258,13 @@ def projection(epsg: int) -> Place:
 
 
 def are_degrees(positions: list[tuple[float, float, float]]) -> bool:
-    """Find by their values whether positions (time, s, x, y) are degrees: small numbers that change slowly.
+    """Find by their values whether positions (time, s, x, y; one or more) are degrees: small numbers, slow to change.
 
     A vehicle changes its place by 1e-5 degrees a metre; local coordinates in metres would move it by kilometres.
     """
-    known = [position for position in positions if position[1:] != (0.0, 0.0) and math.isfinite(sum(position))]
-    if not known or any(abs(x) > 360.0 or abs(y) > 90.0 for _, x, y in known):
+    if any(abs(x) > 360.0 or abs(y) > 90.0 for _, x, y in positions):
         return False
-    times, xs, ys = zip(*known, strict=True)
+    times, xs, ys = zip(*positions, strict=True)
     spread_deg = max(max(xs) - min(xs), max(ys) - min(ys))
     return bool(spread_deg <= _MAX_DEGREES_PER_S * max(max(times) - min(times), 1.0))
 
@@ -291,11 +287,11 @@ class SensorWatch:
         self, time_s: float, sensor: tuple[float, float], ship: tuple[float, float], heading_deg: float
     ) -> tuple[float, float]:
         """Take both positions, latitude first (NaN or zeros: none); return the one to use."""
-        if _is_none(ship):
+        if is_nowhere(ship):
             self.is_still = False
             return sensor
         if sensor != self._sensor or not time_s >= self._since_s:
-            if not _is_none(sensor) and not _is_none(self._sensor) and time_s >= self._since_s:
+            if not is_nowhere(sensor) and not is_nowhere(self._sensor) and time_s >= self._since_s:
                 self._arm_m = _ahead(ship, sensor, heading_deg)
                 if not self.is_still:
                     self._still_s = max(self._still_s, _STILL_FACTOR * (time_s - self._since_s))
@@ -330,5 +326,6 @@ def _ahead(ship: tuple[float, float], sensor: tuple[float, float], heading_deg: 
     return north_m * cosine + east_m * sine, east_m * cosine - north_m * sine
 
 
-def _is_none(place: tuple[float, float]) -> bool:
+def is_nowhere(place: tuple[float, float]) -> bool:
+    """Check whether a place, either order, is none: zeros, or not finite."""
     return place == (0.0, 0.0) or not math.isfinite(sum(place))

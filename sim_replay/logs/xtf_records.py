@@ -113,7 +113,8 @@ class HeaderNavigation:
         h = raw.header
         if self._fields.ship_position:
             ship = self._place(h.ShipXcoordinate, h.ShipYcoordinate)
-            return behind(ship, h.Layback, h.ShipGyro or heading_deg) if 0.0 < h.Layback < _MAX_LAYBACK_M else ship
+            course_deg = h.ShipGyro if h.ShipGyro and math.isfinite(h.ShipGyro) else heading_deg
+            return behind(ship, h.Layback, course_deg) if 0.0 < h.Layback < _MAX_LAYBACK_M else ship
         sensor = self._place(h.SensorXcoordinate, h.SensorYcoordinate)
         if h.ShipYcoordinate == h.ShipXcoordinate == 0.0:
             return sensor

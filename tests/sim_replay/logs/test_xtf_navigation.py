@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import pyxtf
 from auv_mcm.records import NavSample
 from tests.sim_replay.logs.xtf_logs import (
     codes_of,
+    edit_file_header,
     edit_headers,
     navigation,
     navigation_of,
@@ -91,6 +93,39 @@ def test_a_position_that_is_repeated_is_none_whatever_packets_without_one_stand_
         packet.RawXcoordinate, packet.RawYcoordinate = (math.nan, math.nan) if number % 2 else (5.0, 43.0)
     path.write_bytes(data)
     assert len(fixes_of(read(path)[0])) == 1
+
+
+def test_packets_without_a_place_do_not_stand_in_the_way_of_those_that_have_one(tmp_path: Path) -> None:
+    path = in_packets(tmp_path / "log.xtf", 0, None)
+    data = path.read_bytes()
+    starts = packet_offsets(data)
+    written_anew = bytearray(data[: starts[0]])
+    for start, end in zip(starts, [*starts[1:], len(data)], strict=True):
+        packet = bytearray(data[start:end])
+        if packet[2] == 107:
+            place, packet[23:39] = packet[23:39], bytes(16)
+            microseconds = struct.pack("<I8x", 100 * int.from_bytes(packet[21:23], "little"))
+            written_anew += packet[:2] + b"\x2a" + packet[3:21] + microseconds + place + bytes(15)
+        written_anew += packet
+    path.write_bytes(written_anew)
+    assert len(fixes_of(read(path)[0])) == N_PINGS
+
+
+@pytest.mark.parametrize("units", [0, 3])
+def test_nan_for_place_and_gyro_leaves_the_fish_where_zeros_do(tmp_path: Path, units: int) -> None:
+    places = []
+    for nothing in (0.0, math.nan):
+        path = written(tmp_path / "log.xtf")
+
+        def tow(_: int, header: Any, nothing: float = nothing) -> None:
+            header.ShipXcoordinate, header.ShipYcoordinate = header.SensorXcoordinate, header.SensorYcoordinate
+            header.SensorXcoordinate = header.SensorYcoordinate = header.ShipGyro = nothing
+            header.Layback = 20.0
+
+        edit_headers(path, tow)
+        edit_file_header(path, lambda header: setattr(header, "NavUnits", units))
+        places.append([(sample.latitude_deg, sample.longitude_deg) for sample in navigation_of(read(path)[0])])
+    assert places[0] == places[1] != []
 
 
 def test_attitude_in_packets_107_stands_behind_the_height(tmp_path: Path) -> None:
