@@ -14,7 +14,7 @@ from urllib.parse import unquote_to_bytes
 import msgspec
 
 from auv_mcm.errors import AuvMcmError, BadInputError, UsageError
-from auv_mcm.model_file import NONE, SHIPPED
+from auv_mcm.model_file import named_files
 from auv_mcm.program import program
 from auv_mcm.safe_files import read_regular
 from auv_mcm.settings.config import Config
@@ -121,10 +121,12 @@ def is_replayed(folder: Path, config: Config) -> bool:
     if summary is None:
         return False
     made_ns = (folder / SUMMARY).stat().st_mtime_ns
-    logs = summary.get("logs") or ()
-    same_log = bool(logs) and all(_is_unchanged(entry, made_ns) for entry in logs) and _are_older(config, made_ns)
-    same_log = same_log and _used_lines(summary) == lines_beside(map(named_path, logs))
-    return same_log and _is_same(summary.get("config"), config) and summary.get("program") == program()
+    with suppress(AttributeError, KeyError, TypeError):  # as of a summary that somebody edited
+        logs = summary.get("logs") or ()
+        same_log = bool(logs) and all(_is_unchanged(entry, made_ns) for entry in logs) and _are_older(config, made_ns)
+        same_log = same_log and _used_lines(summary) == lines_beside(map(named_path, logs))
+        return same_log and _is_same(summary.get("config"), config) and summary.get("program") == program()
+    return False
 
 
 def summary_of(folder: Path) -> dict[str, Any] | None:
@@ -155,11 +157,8 @@ def _is_unchanged(entry: dict[str, Any], made_ns: int) -> bool:
 
 def _are_older(config: Config, made_ns: int) -> bool:
     """Check that the models and lists that a configuration names are older than results."""
-    detect, confirm = config.detect, config.confirm
-    names = detect.model, detect.gate, detect.seabed_model, detect.performance, confirm.odds, confirm.targets
-    files = {*names, config.contacts.background} - {SHIPPED, NONE}
     try:
-        return all(os.stat(file).st_mtime_ns <= made_ns for file in files)
+        return all(os.stat(file).st_mtime_ns <= made_ns for file in named_files(config).values())
     except OSError:
         return False
 

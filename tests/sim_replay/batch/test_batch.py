@@ -186,6 +186,8 @@ def test_results_of_another_configuration_or_of_a_log_that_changed_are_made_anew
     of_another_build = shutil.copytree(folder, tmp_path / "copy")
     (of_another_build / "summary.json").write_text(summary.replace(program(), "of another checkout"))
     assert not is_replayed(of_another_build, Config())
+    (of_another_build / "summary.json").write_text('{"logs": ["a.xtf"]}')
+    assert not is_replayed(of_another_build, Config())
     log = archive / "day1" / "a.xtf"
     times = os.stat(log).st_atime_ns, os.stat(log).st_mtime_ns
     try:
