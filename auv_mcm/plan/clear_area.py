@@ -92,7 +92,7 @@ class ClearArea:
         self._config = config
         self._model = model
         self._slant_range_m = 0.0
-        self._now_s = -math.inf
+        self._now_s = self._seen_s = -math.inf  # the latter of the last ping
         self._shown_until_s: dict[Side, float] = {}
         self._pending: list[_Flown] = []
         self._known: _Known | None = None  # at the last request; none is made on a leg
@@ -102,10 +102,13 @@ class ClearArea:
 
     def see(self, ping: Ping) -> None:
         """Take a ping that was fed to the pipeline: it shows how far the sonar reaches."""
-        if math.isfinite(ping.time_s):
-            if ping.time_s < self._now_s - _CLOCK_STEP_S:  # no leg before can be compared with what comes
+        if math.isfinite(ping.time_s) and ping.time_s != self._seen_s:
+            before_s, self._seen_s = self._seen_s, ping.time_s
+            # The middle of three, as a time far from those before and behind it is a wrong one.
+            now_s = sorted((self._now_s, before_s, ping.time_s))[1] if math.isfinite(before_s) else ping.time_s
+            if now_s < self._now_s - _CLOCK_STEP_S:  # no leg before can be compared with what comes
                 self._pending, self._shown_until_s = [], {}
-            self._now_s = ping.time_s
+            self._now_s = now_s
         reach_m = max(map(_reach_m, (ping.port, ping.starboard)))
         self._slant_range_m = min(reach_m, self._config.sonar.max_range_m) if reach_m > 0.0 else self._slant_range_m
 

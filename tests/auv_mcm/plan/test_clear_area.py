@@ -250,6 +250,19 @@ def test_a_leg_that_is_not_shown_yet_counts_for_what_one_view_clears(p: float, i
     assert proposal.area.verdict == ""  # until the leg is shown
 
 
+@pytest.mark.parametrize("wrong_by_s", [-1e6, 1e6])
+def test_one_ping_of_a_wrong_time_has_no_leg_flown_again(wrong_by_s: float) -> None:
+    mission = Mission(model=EvenLook(0.85), area=((0.0, 8.0), (0.0, 20.0), (60.0, 20.0), (60.0, 8.0)))
+    mission.ping()
+    leg = mission.geodetic((-50.0, 0.0)), mission.geodetic((110.0, 0.0))
+    request = PlanRequest(*mission.geodetic((110.0, 0.0)), 1.57, frozenset(), 160.0, (leg,), mission.now_s)
+    assert mission.propose(request).waypoints == ()
+    for at_s in (1002.0, 1004.0 + wrong_by_s, 1004.0 + wrong_by_s, 1006.0):  # both sides bear it, each in a message
+        mission.now_s = at_s
+        mission.ping()
+        assert mission.propose(request._replace(flown=())).waypoints == ()
+
+
 def test_what_a_leg_has_shown_is_not_expected_once_more() -> None:
     """One view finds 0.75 of what is required to be 0.8: half of the leg shown already leaves it so."""
     mission = Mission(model=EvenLook(0.75), area=((0.0, 8.0), (0.0, 20.0), (60.0, 20.0), (60.0, 8.0)))
