@@ -34,6 +34,7 @@ class Tally:
         self._fix: Fix | None = None
         self._stride_from: Fix | None = None
         self._look: tuple[float, ...] = ()  # squint and sides of the ping before
+        self._far_s = NAN  # a time beyond a hole, until the next one shows that it is none of a wrong clock
         self._is_seen_again = False  # by a further sub-aperture, or the other side's log, of the same pass
 
     @property
@@ -62,11 +63,16 @@ class Tally:
     def _add_time(self, time_s: float, look: tuple[float, ...]) -> None:
         if not math.isfinite(time_s):
             return
+        if time_s - self.last_s > MAX_STEP_S:
+            before_s, self._far_s = self._far_s, time_s
+            if not 0.0 < abs(time_s - before_s) <= MAX_STEP_S:
+                return
+            self.last_s = before_s
         if look != self._look:
-            self._is_seen_again = time_s <= self.last_s  # NaN at first
+            self._is_seen_again = time_s < self.last_s  # NaN at first; of one time, sides come in messages of their own
             self._look = look
         if self._is_seen_again:
-            self._is_seen_again = time_s <= self.last_s
+            self._is_seen_again = time_s < self.last_s
             return
         if math.isnan(self.first_s):
             self.first_s = time_s

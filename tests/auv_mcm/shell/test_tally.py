@@ -83,3 +83,14 @@ def test_sides_of_one_pass_in_logs_of_their_own_count_its_time_and_its_way_once(
             tally.add(Ping(number=k, time_s=float(k), port=port, starboard=starboard))
     assert (tally.pings, tally.duration_s) == (82, 40.0)
     assert tally.distance_m == pytest.approx(80.0, rel=0.01)
+
+
+@pytest.mark.parametrize("wrong_by_s", [0.0, 1e6])
+def test_sides_in_messages_of_their_own_count_time_and_way_once_whatever_one_stamp_is(wrong_by_s: float) -> None:
+    tally, trace = Tally(), EchoTrace(samples=np.ones(4), first_range_m=0.1, spacing_m=0.1)
+    for k in range(41):
+        tally.add(fix(float(k), 2.0 * k))
+        for port, starboard in ((trace, None), (None, trace)):
+            tally.add(Ping(number=k, time_s=k + wrong_by_s * (k == 10), port=port, starboard=starboard))
+    assert (tally.first_s, tally.last_s, tally.duration_s) == (0.0, 40.0, 40.0)
+    assert tally.distance_m == pytest.approx(80.0, rel=0.01)
