@@ -70,13 +70,14 @@ def test_a_table_off_a_terminal_is_plain_columns(capsys: pytest.CaptureFixture[s
     assert not capsys.readouterr().out
 
 
-@pytest.mark.parametrize(("no_color", "coloured"), [("", True), ("1", False)])
+@pytest.mark.parametrize(("no_color", "coloured"), [({}, True), ({"NO_COLOR": "1"}, False)])
 def test_a_table_on_a_terminal_is_drawn_by_rich(
-    no_color: str, coloured: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    no_color: dict[str, str], coloured: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip("rich")
     monkeypatch.setattr("sys.stdout.isatty", lambda: True)
-    for name, value in (("NO_COLOR", no_color), ("TERM", "xterm-256color"), ("COLUMNS", "60")):
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    for name, value in (no_color | {"TERM": "xterm-256color", "COLUMNS": "60"}).items():
         monkeypatch.setenv(name, value)
     show_table("", ("what", "found"), [("FAILED", "word " * 30)], {"FAILED": "red"})
     out = capsys.readouterr().out
