@@ -140,13 +140,11 @@ class PingDecoder:
     The look angle in a profile decides its side where somebody set it, see `HeadSides`.
     """
 
-    def __init__(self, *, port_channel: int = 0, by_number: bool = False, subsystem: int | None = None) -> None:
+    def __init__(self, *, by_number: bool = False, subsystem: int | None = None) -> None:
         """Start at the beginning of a link or log.
 
         Parameters
         ----------
-        port_channel
-            Channel number of the head that looks to port, 0 or 1; the other looks to starboard.
         by_number
             Sides by channel numbers alone, not by look angles.
         subsystem
@@ -155,9 +153,7 @@ class PingDecoder:
         self._framer = StampedFramer(PingGrammar())
         self.counters = self._framer.counters
         self._pairer = SidePairer(self._framer.counters)
-        self._sides = HeadSides(
-            self._framer.counters, by_number=by_number, subsystem=subsystem, port_channel=port_channel
-        )
+        self._sides = HeadSides(self._framer.counters, by_number=by_number, subsystem=subsystem)
         self._n_notices = 0
 
     def feed(self, data: bytes, stamp: Stamp) -> list[SonarItem]:

@@ -46,9 +46,7 @@ class HeadSides:
     a person, each once.
     """
 
-    def __init__(
-        self, counters: Counter[str], *, by_number: bool, subsystem: int | None, port_channel: int = 0
-    ) -> None:
+    def __init__(self, counters: Counter[str], *, by_number: bool, subsystem: int | None) -> None:
         """Start without having seen a profile.
 
         Parameters
@@ -59,12 +57,10 @@ class HeadSides:
             The look angle does not count.
         subsystem
             20 for the lowest frequency, else the highest is used.
-        port_channel
-            0, or 1 for heads connected the other way round.
         """
         self.notices: list[Notice] = []
         self._counters = counters
-        self._by_number, self._lowest, self._port_channel = by_number, subsystem == 20, port_channel
+        self._by_number, self._lowest = by_number, subsystem == 20
         self._hz: deque[int] = deque(maxlen=_RECENT)
         self._heads: set[tuple[int, int]] = set()  # channel and source of those in use
         self._used_hz = 0
@@ -119,7 +115,7 @@ class HeadSides:
             place = 0 if self._are_alike or first == NO_CHANNEL else first % 2
         if place > 1:
             return None
-        return "port" if place == self._port_channel else "starboard"
+        return "port" if place == 0 else "starboard"
 
     def _look(self, profile: OsMonoProfile) -> ToSide | None:
         return None if self._by_number else look_side(profile.transducer_heading_deg, profile.vehicle_heading_deg)
