@@ -71,6 +71,18 @@ async def until_equal(get: Callable[[], object], wanted: object) -> None:
     await until(lambda: get() == wanted)
 
 
+def first_reason(uri: str) -> str:
+    """Return the first report of a link."""
+
+    async def scenario() -> str:
+        link, watch = watched_bytes(uri)
+        async with running(link):
+            await until(lambda: watch.reports)
+            return watch.reason
+
+    return asyncio.run(scenario())
+
+
 def open_descriptors() -> int:
     return len(list(Path("/proc/self/fd").iterdir()))
 

@@ -127,10 +127,11 @@ async def test_frames_pass_both_ways_on_a_virtual_bus() -> None:
         other.send(can.Message(arbitration_id=0x123, data=b"\x01", is_extended_id=False))
         other.send(can.Message(arbitration_id=0x123, is_remote_frame=True))
         await until(lambda: watch.items == [POSITION, CanFrame(0x123, b"\x01", extended=False)])
-        assert link.write(DEPTH)
-        message = await asyncio.to_thread(other.recv, 5.0)
-        assert message is not None
-        assert (message.arbitration_id, bytes(message.data)) == (DEPTH.can_id, DEPTH.data)
+        for frame in (DEPTH, CanFrame(0x123, b"\x01", extended=False)):
+            assert link.write(frame)
+            message = await asyncio.to_thread(other.recv, 5.0)
+            assert message is not None
+            assert (message.arbitration_id, bytes(message.data), message.is_extended_id) == frame
         assert not link.write(CanFrame(1 << 30, b""))
     assert link.counters["can.remote"] == 1
     assert link.counters["can.send_failed"] == 1

@@ -10,18 +10,20 @@ from collections import Counter
 from collections.abc import AsyncIterator
 from typing import Final, NamedTuple
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from auv_mcm.clock import Stamp
+from auv_mcm.errors import HardwareError
 from drivers.links.can_frame import CanFrame
 from drivers.links.gather import GATHER_S, PLENTY_BYTES, gather_s
 from drivers.links.link import Link, Wire
 from drivers.links.slcan import SlcanPort, encode
 from drivers.links.stream import StreamPort
 from drivers.links.uri import BAUD_RATES
-from tests.drivers.links.link_watch import Watch, until, up
+from tests.drivers.links.link_watch import Watch, running, until, up
 from tests.drivers.links.loop_time import LoopClock, LoopTime, run_in_loop_time
 
 BYTES_PER_S: Final = 92_160.0
@@ -173,6 +175,30 @@ def test_a_receiver_that_loses_the_wire_leaves_no_timer() -> None:
         assert loop.n_timers_set == 0
 
     run_in_loop_time(scenario)
+
+
+def test_a_wire_that_cannot_be_opened_is_tried_every_2_s_and_soon_again_once_it_brought_something() -> None:
+    async def scenario(loop: LoopTime) -> list[float]:
+        tries_s: list[float] = []
+
+        async def open_port(counters: Counter[str]) -> Wire[bytes]:
+            tries_s.append(loop.time())
+            if len(tries_s) != 12:
+                raise HardwareError("absent")
+            near, far = socket.socketpair()
+            near.setblocking(False)
+            with far:
+                far.send(b"hello")
+            return stream_port(near, 921_600, counters)
+
+        watch = Watch[bytes]()
+        async with running(Link("wire", open_port, watch.on_data, watch.on_state, LoopClock(), 60.0)):
+            await asyncio.sleep(20.0)
+        return tries_s
+
+    pauses_s = np.diff(run_in_loop_time(scenario))
+    assert pauses_s[:7] == pytest.approx([0.1, 0.2, 0.4, 0.8, 1.6, 2.0, 2.0])
+    assert pauses_s[11:13] == pytest.approx([0.1, 0.2], abs=2 * GATHER_S)
 
 
 def test_frames_of_an_adapter_gather_as_well() -> None:

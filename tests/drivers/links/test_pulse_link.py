@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import asyncio
+import fcntl
 import os
+import struct
 from collections import Counter
 from pathlib import Path
 
@@ -11,9 +12,9 @@ import pytest
 
 from auv_mcm.errors import HardwareError, UsageError
 from drivers.links.open_link import byte_link, can_link
-from drivers.links.pulse import KernelEdge, PulsePort, pack_edge, unpack_edge
+from drivers.links.pulse import KernelEdge, PulsePort, open_pulse, pack_edge, unpack_edge
 from drivers.links.uri import parse_link_uri
-from tests.drivers.links.link_watch import running, until, watched_bytes
+from tests.drivers.links.link_watch import first_reason
 
 NS = 1_000_000_000
 UTC_S = 1_700_000_000
@@ -91,16 +92,26 @@ def test_edges_survive_packing_and_other_bytes_are_none() -> None:
     assert unpack_edge(b"") is unpack_edge(b"1234567") is unpack_edge(bytes(9)) is None
 
 
-def test_what_is_no_source_of_pulses_is_reported(tmp_path: Path) -> None:
-    async def reports(path: Path) -> str:
-        link, watch = watched_bytes(f"pps://{path}")
-        async with running(link):
-            await until(lambda: watch.reports)
-            return watch.reason
+async def test_the_kernels_answer_is_read_as_its_header_lays_it_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """linux/pps.h: both sequence numbers; seconds, ns and flags of both edges; mode; how long to wait."""
+    answer = struct.pack("=II qiI qiI i4x qiI", 7, 8, UTC_S + 500, 250, 0, UTC_S + 499, 9, 0, 1, 0, 0, 0)
+    answers = {0xC00870A4: answer}  # PPS_FETCH
+    monkeypatch.setattr(fcntl, "ioctl", lambda descriptor, request, data: answers[request])
+    (tmp_path / "pps0").touch()
+    kernel = Kernel()
+    kernel.now_s = 500.5
+    port = await open_pulse(str(tmp_path / "pps0"), "pps0", kernel, Counter())
+    (edge,) = port.read()
+    port.close()
+    assert abs((unpack_edge(edge) or 0) - (500 * NS + 250)) <= 1000
 
-    assert "no such device. ls /sys/class/pps" in asyncio.run(reports(tmp_path / "pps0"))
+
+def test_what_is_no_source_of_pulses_is_reported(tmp_path: Path) -> None:
+    assert "no such device. ls /sys/class/pps" in first_reason(f"pps://{tmp_path / 'pps0'}")
     (tmp_path / "file").write_bytes(b"")
-    assert "not a source of pulses" in asyncio.run(reports(tmp_path / "file"))
+    assert "not a source of pulses" in first_reason(f"pps://{tmp_path / 'file'}")
 
 
 def test_a_pulse_is_no_bus() -> None:

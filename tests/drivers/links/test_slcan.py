@@ -170,9 +170,9 @@ def test_time_stamps_are_taken_off_an_adapter_that_sends_them(extended: bool, n_
 def test_a_damaged_length_among_plain_frames_is_no_time_stamp() -> None:
     counters: Counter[str] = Counter()
     parser = SlcanParser(counters)
-    sent = [CanFrame(0x1ABCDE, bytes(8), True) for _ in range(5)]
+    sent = [CanFrame(0x1ABCDE, bytes(8), True) for _ in range(7)]
     text = bytearray(b"".join(map(encode, sent)))
-    for n in (1, 3):
+    for n in (1, 3, 5):
         text[n * 27 + 9] = ord("6")
-    assert len(parser.feed(bytes(text))) == 3
-    assert counters["slcan.refused.length"] == 2
+    assert parser.feed(bytes(text)) == sent[:4]
+    assert counters["slcan.refused.length"] == 3

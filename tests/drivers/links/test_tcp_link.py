@@ -1,17 +1,19 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import socket
+from collections import Counter
 from typing import Any
 
 import pytest
 
 from drivers.links import tcp
 from sim_replay.fakes.net import FakeTcpServer
-from tests.drivers.links.link_watch import open_descriptors, running, until, watched_bytes
+from tests.drivers.links.link_watch import first_reason, open_descriptors, running, until, watched_bytes
 
 
-async def test_bytes_pass_both_ways_and_keep_alive_is_on() -> None:
+async def test_bytes_pass_both_ways() -> None:
     taken: list[bytes] = []
     server = FakeTcpServer(on_bytes=taken.append)
     await server.start()
@@ -25,6 +27,26 @@ async def test_bytes_pass_both_ways_and_keep_alive_is_on() -> None:
     await server.stop()
     assert link.counters["link.bytes_in"] == 4
     assert link.counters["link.bytes_out"] == 7
+
+
+async def test_a_host_that_loses_its_power_is_noticed_within_11_s() -> None:
+    names = (socket.TCP_KEEPIDLE, socket.TCP_KEEPINTVL, socket.TCP_KEEPCNT, socket.TCP_USER_TIMEOUT)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = await tcp.open_tcp("127.0.0.1", server.getsockname()[1], Counter())
+        with socket.socket(fileno=os.dup(port.fileno())) as connection:
+            assert connection.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE)
+            idle_s, each_s, n_probes, sent_ms = (connection.getsockopt(socket.IPPROTO_TCP, name) for name in names)
+        port.close()
+    assert idle_s + each_s * n_probes == 11
+    assert sent_ms == 10_000
+
+
+async def test_every_address_of_a_host_is_tried(monkeypatch: pytest.MonkeyPatch) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        number = server.getsockname()[1]
+        found = [(socket.AF_INET, socket.SOCK_STREAM, 6, "", (host, number)) for host in ("127.0.0.2", "127.0.0.1")]
+        monkeypatch.setattr(socket, "getaddrinfo", lambda *_, **__: found)
+        (await tcp.open_tcp("sonar", number, Counter())).close()
 
 
 @pytest.mark.parametrize("reset", [False, True])
@@ -80,16 +102,6 @@ async def test_a_server_that_hangs_up_at_once_is_not_asked_without_pause() -> No
     assert 1 <= n_connections <= 4
     server.close()
     await server.wait_closed()
-
-
-def first_reason(uri: str) -> str:
-    async def scenario() -> str:
-        link, watch = watched_bytes(uri)
-        async with running(link):
-            await until(lambda: watch.reports)
-            return watch.reason
-
-    return asyncio.run(scenario())
 
 
 def test_who_is_not_there_is_reported() -> None:

@@ -4,7 +4,7 @@ import asyncio
 import socket
 
 from sim_replay.fakes.net import FakeUdpDevice
-from tests.drivers.links.link_watch import running, until, up, watched_bytes
+from tests.drivers.links.link_watch import first_reason, until, up, watched_bytes
 
 
 def free_port() -> int:
@@ -26,7 +26,21 @@ async def test_datagrams_arrive_whole_and_writes_go_to_the_peer() -> None:
         assert watch.items == sent
         assert link.write(b"set range")
         await until(lambda: taken == [b"set range"])
+    assert link.counters["link.bytes_in"] == sum(map(len, sent))
     device.close()
+
+
+async def test_a_peer_without_a_port_is_heard_from_any_of_its_ports_and_other_hosts_are_not() -> None:
+    port = free_port()
+    link, watch = watched_bytes(f"udp://0.0.0.0:{port}?peer=127.0.0.1")
+    async with up(link):
+        for host in ("127.0.0.2", "127.0.0.1", "127.0.0.1"):
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+                sender.bind((host, 0))
+                sender.sendto(host.encode(), ("127.0.0.1", port))
+        await until(lambda: len(watch.items) == 2)
+    assert watch.items == [b"127.0.0.1"] * 2
+    assert link.counters["udp.refused.foreign"] == 1
 
 
 async def test_datagrams_of_others_are_refused_and_named_when_nothing_else_comes() -> None:
@@ -66,14 +80,8 @@ async def test_a_datagram_too_long_to_send_is_refused() -> None:
 
 
 def test_ports_and_addresses_that_cannot_be_used_are_reported() -> None:
-    async def first_reason(uri: str) -> str:
-        link, watch = watched_bytes(uri)
-        async with running(link):
-            await until(lambda: watch.reports)
-            return watch.reason
-
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
         taken.bind(("127.0.0.1", 0))
         port = taken.getsockname()[1]
-        assert "in use by another program" in asyncio.run(first_reason(f"udp://127.0.0.1:{port}"))
-    assert "not an address of this computer. Write 0.0.0.0" in asyncio.run(first_reason("udp://192.0.2.1:5000"))
+        assert "in use by another program" in first_reason(f"udp://127.0.0.1:{port}")
+    assert "not an address of this computer. Write 0.0.0.0" in first_reason("udp://192.0.2.1:5000")

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from msgspec import structs
 
@@ -17,7 +17,7 @@ from auv_mcm.geometry.navigation import NavBuffer
 from auv_mcm.records import NAN, NavSample, Notice
 from auv_mcm.settings.config import NavigationConfig
 from auv_mcm.settings.port_settings import QUANTITIES, NavUnitSettings
-from drivers.navigation.corrections import Readings, arm_north_east_down, moved, offset_m
+from drivers.navigation.corrections import Readings, arm_north_east_down, moved, offset_m, readings_of
 from drivers.navigation.merge import Event, NavMerge
 from drivers.navigation.nav_decoder import NavFix
 from drivers.navigation.nav_settings import NavMergeSettings
@@ -119,10 +119,13 @@ def test_a_lever_arm_that_cannot_be_taken_off_for_want_of_a_heading_is_in_the_si
 
 
 @given(st.floats(-85.0, 85.0), st.floats(-180.0, 180.0), st.floats(-500.0, 500.0), st.floats(-500.0, 500.0))
+@example(10.0, 179.999, 300.0, 0.0)
+@example(10.0, -179.999, -300.0, 0.0)
 def test_steps_on_the_ellipsoid_are_those_of_the_local_frame(
     latitude_deg: float, longitude_deg: float, east_m: float, north_m: float
 ) -> None:
     there = moved(latitude_deg, longitude_deg, east_m, north_m)
+    assert abs(there[1]) <= 180.0
     east, north, _ = LocalFrame(latitude_deg=latitude_deg, longitude_deg=longitude_deg).to_enu(*there, 0.0)
     assert (float(east), float(north)) == pytest.approx(
         (east_m, north_m), abs=0.5
@@ -143,6 +146,28 @@ def test_impossible_values_are_refused_and_counted() -> None:
     samples, _ = run(merged, [fix("u", 0.0, latitude_deg=0.0, longitude_deg=0.0, **reported)])
     assert samples == []
     assert merged.counters == {f"nav.impossible.{quantity}.u": 1 for quantity in QUANTITIES}
+
+
+@pytest.mark.parametrize(("sigma", "is_used"), [(0.25, True), (0.0, True), (-0.25, False), (1e9, False)])
+def test_the_errors_that_a_unit_reports_count_before_those_configured_if_they_can_be(
+    sigma: float, is_used: bool
+) -> None:
+    sigmas = {"position_sigma_m": sigma, "heading_sigma_rad": sigma, "speed_sigma_mps": sigma}
+    unit = NavUnitSettings(position_sigma_m=7.0, heading_sigma_deg=8.0, speed_sigma_mps=9.0)
+    readings, _ = readings_of(fix("u", 0.0, heading_rad=1.0, speed_mps=1.5, **place(0.0, 0.0), **sigmas), unit)
+    wanted = (sigma, sigma, sigma) if is_used else (7.0, math.radians(8.0), 9.0)
+    assert readings.position == (*place(0.0, 0.0).values(), wanted[0], is_used)
+    assert readings.heading == (1.0, wanted[1])
+    assert readings.speed == pytest.approx((1.5, NAN, NAN, wanted[2]), nan_ok=True)
+
+
+def test_what_only_looks_impossible_is_taken() -> None:
+    """A pressure sensor's zero at the surface, and a course that was never filled beside a speed."""
+    reported = {"depth_m": -0.3, "speed_mps": 1.25, "water_speed_mps": 1.5, "course_rad": 655.35}
+    readings, impossible = readings_of(fix("u", 0.0, **reported), NavUnitSettings())
+    assert impossible == []
+    assert readings.depth == -0.3
+    assert readings.speed == pytest.approx((1.25, NAN, NAN, NavUnitSettings().speed_sigma_mps), nan_ok=True)
 
 
 def test_only_what_a_unit_may_deliver_is_taken() -> None:
@@ -243,6 +268,14 @@ def test_slow_units_are_stamped_when_they_measured_and_come_in_the_order_of_time
     assert [t for t, sample in zip(times, samples, strict=True) if sample.depth_m == 5.0] == pytest.approx(
         [t * 0.2 + 0.01 for t in range(50)], abs=1e-5
     )
+
+
+def test_what_comes_too_late_for_the_order_of_time_is_counted() -> None:
+    merged = merge(u=NavUnitSettings())
+    late = fix("u", 5.05, depth_m=2.0, age_s=4.0)
+    samples, _ = run(merged, [late, *(fix("u", 0.1 * t, heading_rad=1.0) for t in range(100))])
+    assert merged.counters == {"nav.too_late": 1}
+    assert all(math.isnan(sample.depth_m) for sample in samples)
 
 
 def test_the_time_on_a_serial_wire_is_taken_off() -> None:

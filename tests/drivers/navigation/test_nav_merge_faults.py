@@ -23,10 +23,6 @@ from tests.drivers.navigation.merged_units import DVL, GPS, HOME, dvl_and_compas
 from tests.drivers.navigation.nav_damage import T0, at
 
 
-def values(samples: Sequence[NavSample], field: str) -> list[float]:
-    return [value for value in (getattr(sample, field) for sample in samples) if not math.isnan(value)]
-
-
 def without(field: str, from_s: float, until_s: float, fixes: Sequence[NavFix]) -> list[NavFix]:
     """Take a quantity out of the fixes between two instants."""
     hole = range(at(from_s).mono_ns, at(until_s).mono_ns)
@@ -197,12 +193,14 @@ def test_positions_reckoned_by_a_late_log_have_the_time_it_measured() -> None:
     assert max(math.dist((east, north), (0.0, 1.5 * t)) for t, east, north in track(samples)) < 0.1
 
 
-def test_a_drift_to_starboard_reckons_to_starboard_of_the_heading() -> None:
+@pytest.mark.parametrize("turned_deg", [0.0, 45.0])
+def test_a_drift_to_starboard_reckons_to_starboard_of_the_heading(turned_deg: float) -> None:
     gps = [fix("gps", t, **place(east, north)) for t, east, north, _ in survey(10, circle=False)]
-    log = [
-        fix("dvl", t, heading_rad=6.0, drift_rad=math.tau - 6.0, speed_mps=1.5) for t, *_ in survey(40, circle=False)
-    ]
-    samples, _ = run(merge(gps=GPS, dvl=DVL), gps + log)
+    drift_rad = math.tau - 6.0 - math.radians(turned_deg)
+    log = [fix("log", t, drift_rad=drift_rad, speed_mps=1.5) for t, *_ in survey(40, circle=False)]
+    compass = [fix("dvl", t, heading_rad=6.0) for t, *_ in survey(40, circle=False)]
+    turned = NavUnitSettings(delivers=("speed",), heading_offset_deg=turned_deg)
+    samples, _ = run(merge(gps=GPS, dvl=DVL, log=turned), gps + log + compass)
     assert len(track(samples)) > 200
     assert max(math.dist((east, north), (0.0, 1.5 * t)) for t, east, north in track(samples)) < 0.1
 
@@ -211,7 +209,7 @@ def test_speed_of_a_submerged_receiver_is_not_believed_either() -> None:
     merged = merge(gps=NavUnitSettings(surface_only=True), depth=NavUnitSettings())
     merged.feed(fix("depth", 0.0, depth_m=4.0))
     samples, _ = run(merged, [fix("gps", 0.5, speed_mps=3.0, **place(0.0, 0.0))])
-    assert values(samples, "speed_mps") == []
+    assert [(sample.depth_m, math.isnan(sample.speed_mps)) for sample in samples] == [(4.0, True)]
 
 
 def test_a_single_leap_is_not_believed_and_a_new_place_is_the_third_time() -> None:
@@ -331,10 +329,7 @@ def test_fixes_that_come_late_and_seldom_make_the_track_go_back_nowhere() -> Non
 @pytest.mark.parametrize("silent", ["heading_rad", "speed_mps"])
 def test_without_heading_or_speed_no_position_is_made_up(silent: str) -> None:
     fixes = [fix("gps", float(t), **place(0.0, 1.5 * t)) for t in range(10)]
-    fixes += [
-        structs.replace(one, **{silent: math.nan}) if one.received.mono_ns > at(15.0).mono_ns else one
-        for one in dvl_and_compass(60, circle=False)
-    ]
+    fixes += without(silent, 15.0, 60.0, dvl_and_compass(60, circle=False))
     samples, notices = run(merge(gps=GPS, dvl=DVL), fixes)
     assert max(t for t, _, _ in track(samples)) < 17.0
     assert {"nav_dead_reckoning", "nav_quantity_lost", "nav_position_lost"} == {notice.code for notice in notices}
@@ -353,6 +348,7 @@ def test_silence_of_everything_is_reported_by_time_alone() -> None:
         ("heading", {"heading_rad": 0.02}, {"heading_rad": 6.0}),
         ("attitude", {"pitch_rad": 0.1, "roll_rad": 0.3}, {"pitch_rad": 0.1, "roll_rad": -0.3}),
         ("depth", {"depth_m": 10.0}, {"depth_m": 25.0}),
+        ("altitude", {"altitude_m": 10.0}, {"altitude_m": 25.0}),
         ("speed", {"speed_mps": 1.5}, {"speed_mps": 2.5}),
         ("position", place(0.0, 0.0), place(60.0, 0.0)),
     ],
@@ -405,9 +401,9 @@ def test_a_nmea_2000_latitude_beyond_90_degrees_is_counted_refused_and_reported_
 
 def test_an_altitude_of_zero_that_goes_on_is_reported_and_a_short_one_is_not() -> None:
     merged = merge(dvl=NavUnitSettings())
-    _, notices = run(merged, [fix("dvl", 0.1 * t, altitude_m=0.0 if t % 30 else 5.0) for t in range(19)])
+    _, notices = run(merged, [fix("dvl", 0.1 * t, altitude_m=0.0 if t % 20 else 5.0) for t in range(100)])
     assert "nav_impossible" not in [notice.code for notice in notices]
-    _, notices = run(merged, [fix("dvl", 2.0 + 0.1 * t, altitude_m=0.0) for t in range(60)])
+    _, notices = run(merged, [fix("dvl", 10.0 + 0.1 * t, altitude_m=0.0) for t in range(60)])
     assert [notice.code for notice in notices].count("nav_impossible") == 1
 
 

@@ -265,9 +265,10 @@ def test_a_time_of_day_is_put_on_the_day_nearest_to_this_computers_clock(host_s:
     [
         ("HEHDT,271.5,T", {"heading_rad": math.radians(271.5)}),
         ("GPVTG,90.0,T,,M,3.600,N,6.67,K,A", {"course_rad": math.pi / 2, "speed_mps": 1.852}),
-        ("GPVTG,90.0,T,,M,3.600,N,6.67,K,N", {}),
+        ("GPVTG,90.0,T,,M,3.600,N,6.67,K,M", {}),
         ("SDDPT,12.5,-0.3", {"altitude_m": 12.5}),
         ("SDDBT,41.01,f,,M,,F", {"altitude_m": 12.499848}),
+        ("SDDBT,,f,,M,7.0,F", {"altitude_m": 12.8016}),
         ("SDDPT,0.0,0.0,", {}),
         (
             "PRDID,-1.5,2.5,90.0",
@@ -275,8 +276,12 @@ def test_a_time_of_day_is_put_on_the_day_nearest_to_this_computers_clock(host_s:
         ),
         ("GPZDA,000010.5,15,11,2023,00,00", {"time_utc_s": 1_700_006_410.5, "is_time_message": True}),
         ("GPZDA,000010.5,,,,00,", {"time_utc_s": 1_700_006_410.5}),
+        ("GPZDA,235960.5,31,12,2016,00,00", {"time_utc_s": 1_483_228_800.5, "is_time_message": True}),
         ("GPGLL,6005.071,N,02332.346,E,,A,D", {"latitude_deg": 60 + 5.071 / 60, "longitude_deg": 23 + 32.346 / 60}),
-        ("GPGLL,6005.071,N,02332.346,E,,V,N", {}),
+        ("GPGLL,6005.071,N,02332.346,E,,V,", {}),
+        ("GPGLL,6005.071,N,02332.346,E,,A,N", {}),
+        ("GPRMC,,V,3751.65,S,14507.36,E,2.0,180.0,,,", {}),
+        ("GPRMC,,A,3751.65,S,14507.36,E,2.0,180.0,,,,S", {}),
         ("GPGLL,6005.071,N,02332.346,E", {"latitude_deg": 60 + 5.071 / 60, "longitude_deg": 23 + 32.346 / 60}),
         ("GPGLL,,,,", {}),
         ("GPGLL,6005.071,N,02332.346,E,,", {}),
@@ -290,6 +295,8 @@ def test_sentences_give_fields(body: str, expected: dict[str, float]) -> None:
 
 def test_attitude_comes_with_its_own_errors() -> None:
     [fix] = read(sentence("PASHR,120000.125,123.45,T,1.00,-2.00,0.12,0.100,0.200,0.300,1,0"))
+    assert fix.time_utc_s is not None
+    assert fix.time_utc_s % 86_400.0 == 43_200.125
     assert math.degrees(fix.roll_rad) == pytest.approx(1.0)
     assert math.degrees(fix.pitch_rad) == pytest.approx(-2.0)
     assert math.degrees(fix.attitude_sigma_rad) == pytest.approx(0.2)
@@ -368,12 +375,14 @@ def test_a_phins_burst_is_one_fix_with_the_time_of_its_last_sentence() -> None:
     assert math.degrees(fix.course_rad) == pytest.approx(180 + math.degrees(math.atan2(0.802, 1.243)))
     assert (fix.position_sigma_m, fix.depth_sigma_m, fix.speed_sigma_mps) == (2.5, 0.3, 0.03)
     assert math.degrees(fix.heading_sigma_rad) == pytest.approx(0.06)
+    assert math.degrees(fix.attitude_sigma_rad) == pytest.approx(0.01)
 
 
-def test_a_burst_whose_time_was_lost_is_still_delivered_without_one() -> None:
-    unit = NmeaUnit("phins")
-    fixes = fed(unit, [sentence(body) for body in (*PHINS, *PHINS[:-1], *PHINS)])
-    assert [fix.time_utc_s is None for fix in fixes[1:]] == [False, True, False]
+def test_a_burst_whose_time_was_lost_is_still_delivered_without_one_or_its_heading() -> None:
+    bodies = (*PHINS, *PHINS[1:-1], *PHINS, *PHINS[:-1], *PHINS[1:])
+    fixes = fed(NmeaUnit("phins"), [sentence(body) for body in bodies])[1:]
+    assert [fix.time_utc_s is None for fix in fixes] == [False, True, False, True, False]
+    assert [math.isnan(fix.heading_rad) for fix in fixes] == [True, True, False, False, True]
 
 
 def test_longitudes_beyond_180_are_west() -> None:
@@ -410,24 +419,26 @@ def test_a_recorded_log_is_read_whole(shared_data: Callable[[str], Path]) -> Non
 @pytest.mark.parametrize(
     ("bodies", "expected_deg"),
     [
-        (["GNTHS,123.4,A"], 123.4),
-        (["HCHDG,100.0,2.0,W,12.0,E"], 110.0),
-        (["HCHDG,350.0,,,12.0,E"], 2.0),
-        (["GPRMC,101530,A,4300.0,N,00500.0,E,3.0,90.0,010124,5.0,W,A", "HCHDM,100.0,M"], 95.0),
-        (["HCHDM,100.0,M"], 100.0),
-        (["PSAT,HPR,101530.00,77.5,1.5,,N"], 77.5),
-        (["PTNL,AVR,181059.6,+149.4688,Yaw,+0.0134,Tilt,,,60.191,3,2.5,6"], 149.4688),
-        (["PFEC,GPatt,210.5,-1.0,2.0"], 210.5),
-        (["OHPR,301.2,1.0,-2.0,21.5"], 301.2),
+        (["GNTHS,123.4,A"], (123.4, NAN, NAN)),
+        (["HCHDG,100.0,2.0,W,12.0,E"], (110.0, NAN, NAN)),
+        (["HCHDG,350.0,,,12.0,E"], (2.0, NAN, NAN)),
+        (["GPRMC,101530,A,4300.0,N,00500.0,E,3.0,90.0,010124,5.0,W,A", "HCHDM,100.0,M"], (95.0, NAN, NAN)),
+        (["HCHDM,100.0,M"], (100.0, NAN, NAN)),
+        (["PSAT,HPR,101530.00,77.5,1.5,,N"], (77.5, 1.5, 0.0)),
+        (["PSAT,HPR,101530.00,77.5,,-2.5,N"], (77.5, 0.0, -2.5)),
+        (["PTNL,AVR,181059.6,-10.5,Yaw,+0.0134,Tilt,-2.0,Roll,60.191,3,2.5,6"], (349.5, 0.0134, -2.0)),
+        (["PFEC,GPatt,210.5,-1.0,2.0"], (210.5, -1.0, 2.0)),
+        (["OHPR,301.2,1.0,-2.0,21.5"], (301.2, 1.0, -2.0)),
     ],
 )
-def test_every_sentence_of_a_heading_is_read(bodies: list[str], expected_deg: float) -> None:
+def test_every_sentence_of_a_heading_is_read(bodies: list[str], expected_deg: tuple[float, float, float]) -> None:
     fix = read(b"".join(map(sentence, bodies)))[-1]
-    assert math.degrees(fix.heading_rad) == pytest.approx(expected_deg, abs=1e-9)
+    found_deg = [math.degrees(angle) for angle in (fix.heading_rad, fix.pitch_rad, fix.roll_rad)]
+    assert found_deg == pytest.approx(expected_deg, abs=1e-9, nan_ok=True)
 
 
 @pytest.mark.parametrize(
-    "body", ["GNTHS,123.4,V", "PTNL,AVR,181059.6,+149.4,Yaw,+0.01,Tilt,,,60.1,0,2.5,6", "GNTHS,,V"]
+    "body", ["GNTHS,123.4,V", "GNTHS,123.4,S", "PTNL,AVR,181059.6,+149.4,Yaw,+0.01,Tilt,,,60.1,0,2.5,6", "GNTHS,,V"]
 )
 def test_a_heading_that_the_unit_calls_bad_is_none(body: str) -> None:
     fix = read(sentence(body))[-1]

@@ -12,7 +12,6 @@ from pathlib import Path
 import pytest
 
 from auv_mcm.clock import Stamp
-from auv_mcm.errors import BadInputError
 from auv_mcm.records import NavSample
 from auv_mcm.settings.port_settings import NavUnitSettings
 from drivers.navigation.corrections import offset_m
@@ -126,26 +125,3 @@ def test_reckoning_by_a_recorded_compass_ends_where_the_other_receiver_does(name
     end = (receiver[-1].latitude_deg, receiver[-1].longitude_deg)
     assert math.hypot(*offset_m(end, (track[-1].latitude_deg, track[-1].longitude_deg))) < 10.0
     assert merged.position_sigma_m > 10.0
-
-
-def test_a_file_without_traffic_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "log.txt"
-    path.write_bytes(b"\xff\x00 nothing\n" * 10)
-    with pytest.raises(BadInputError, match="no CAN traffic"):
-        list(read_can_log(path, Counter()))
-    with pytest.raises(BadInputError, match="cannot be read"):
-        list(read_can_log(tmp_path / "absent.log", Counter()))
-
-
-def test_lines_that_lie_about_themselves_are_skipped(tmp_path: Path) -> None:
-    path = tmp_path / "log.txt"
-    path.write_text(
-        "(1.5) can0 09F80103#0011\n"
-        "(1.5) can0 09F80103#001\n"
-        "2014-08-15T19:00:00.042Z,3,129025,160,255,8,01,02\n"
-        "2014-13-15T19:00:00.042Z,3,129025,160,255,2,01,02\n"
-        "<0x09f80103> [8] 01 02\n" + "x" * 10_000 + "\n"
-    )
-    counters: Counter[str] = Counter()
-    assert list(read_can_log(path, counters)) == [RecordedMessage(1.5, 0x09F80103, b"\x00\x11")]
-    assert counters["can_log.lines_skipped"] == 7, "a very long line is read in pieces"

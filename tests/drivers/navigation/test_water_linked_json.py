@@ -78,9 +78,10 @@ def test_without_bottom_lock_there_is_no_speed() -> None:
 
 
 def test_the_format_before_types_is_read() -> None:
-    old = {name: value for name, value in VELOCITY.items() if name not in ("type", "covariance", "time_of_validity")}
-    (fix,), _ = fixes(line(old))
+    later = ("type", "covariance", "time_of_validity", "time_of_transmission")
+    (fix,), _ = fixes(line({name: value for name, value in VELOCITY.items() if name not in later}))
     assert fix.speed_mps == pytest.approx(1.78, abs=1e-3)
+    assert (fix.time_utc_s, fix.age_s) == (None, 0.0)
 
 
 def test_text_is_still_read_and_decides_as_well() -> None:
@@ -88,6 +89,7 @@ def test_text_is_still_read_and_decides_as_well() -> None:
     text = message_of(record)
     (fix,), counters = fixes(text + line(VELOCITY), len(text))
     assert fix.pitch_rad == pytest.approx(0.1, abs=1e-4)
+    assert fix.time_utc_s is None, "a second after power-up is no time of day"
     assert counters["water_linked.bytes_skipped"] > 100
 
 

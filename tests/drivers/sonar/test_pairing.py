@@ -74,6 +74,10 @@ def test_a_side_never_joins_the_next_transmission() -> None:
     assert counters == {"pairing.lone_port": 2, "pairing.lone_starboard": 1}
 
 
+def test_a_head_that_does_not_count_its_pings_repeats_none() -> None:
+    assert paired([side(True, 0, n * PERIOD_S) for n in range(3)])[0] == [(0, "P")] * 3
+
+
 def test_a_repeated_message_counts_once() -> None:
     port, starboard = side(True, 1, PERIOD_S), side(False, 1, PERIOD_S)
     for sides in ([port, port, starboard], [port, starboard, starboard], [port, starboard, port]):

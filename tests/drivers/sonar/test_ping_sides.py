@@ -70,6 +70,7 @@ def channel(number: int, look_deg: float = 0.0, vehicle_deg: float = 0.0) -> dic
         (channel(0, math.nan), channel(1, math.inf), []),
         (channel(255, -90.0), channel(255, 90.0), []),
         (channel(255), channel(255), ["sonar_channels_alike"]),
+        (channel(0), channel(1) | {"ping_hz": 500_000}, []),
     ],
 )
 def test_sides_go_by_look_angle_then_number_then_order(
@@ -170,6 +171,7 @@ def test_a_lower_frequency_is_used_once_the_higher_has_ended() -> None:
         (180.0, 0.0, None),
         (180.0, 90.0, "starboard"),
         (85.0, 175.0, "port"),
+        (90.0, 180.0, "starboard"),
         (math.nan, 3.0, None),
     ],
 )
@@ -197,4 +199,5 @@ def test_whatever_heads_and_frequencies_come_in_any_order_each_profile_is_used_o
     frames, _ = decoded(profiles, decoder)
     used = [trace for frame in frames for trace in (frame.port, frame.starboard) if trace is not None]
     assert len({trace.samples.shape[0] for trace in used}) == len(used)
-    assert len(used) <= len(profiles)
+    counted = ("ping_protocol.not_used.frequency", "ping_protocol.not_used.channel", "pairing.repeated_side")
+    assert len(used) + sum(decoder.counters[name] for name in counted) == len(profiles)
