@@ -29,14 +29,14 @@ def scored(contacts: list[dict[str, Any]], objects: list[dict[str, Any]], **opti
     return score_missions([mission(contacts, objects)], **options)
 
 
-def sandy_and_rocky(n_swept: int = 80) -> dict[str, Any]:
+def sandy_and_rocky() -> dict[str, Any]:
     """A map of 100 m by 100 m from the common origin: sand in the west, rock in the east, the northern rows not
     swept."""
-    cells = np.zeros((100, 100), dtype=np.int64)
-    cells[:, 60:] = 1
-    cells[n_swept:] = -1
+    cells = np.zeros((50, 50), dtype=np.int64)
+    cells[:, 30:] = 1
+    cells[40:] = -1
     seabed = encode(
-        cells, types=["sand", "rock"], cell_m=1.0, latitude_deg=FRAME.latitude_deg, longitude_deg=FRAME.longitude_deg
+        cells, types=["sand", "rock"], cell_m=2.0, latitude_deg=FRAME.latitude_deg, longitude_deg=FRAME.longitude_deg
     )
     facts: dict[str, Any] = msgspec.to_builtins(seabed)
     return facts
@@ -81,14 +81,13 @@ def test_contact_on_a_rock_beside_a_missed_target_is_no_detection() -> None:
 
 
 def test_target_that_no_pass_saw_counts_neither_as_missed_nor_its_contact_as_a_false_alarm() -> None:
-    score = scored(
-        [contact(0.0, 0.0), contact(20.0, 0.0)], [truth_object(0.0, 0.0, looks=[]), rock(20.0, 0.0, looks=[])]
-    )
+    unseen = [truth_object(0.0, 0.0, looks=[]), rock(20.0, 0.0, looks=[]), truth_object(40.0, 0.0, looks=[])]
+    score = scored([contact(0.0, 0.0), contact(20.0, 0.0)], unseen)
     point = score.at_threshold
     assert (point.pd.of, point.on_unseen_targets, point.false_alarms.count, point.on_known_clutter) == (0, 1, 1, 0)
     assert score.rocks_called_mines.of == 0
-    assert (score.left_out.targets_never_seen, score.left_out.other_objects_never_seen) == (1, 1)
-    assert score.kinds == ()
+    assert (score.left_out.targets_never_seen, score.left_out.other_objects_never_seen) == (2, 1)
+    assert (score.kinds, score.position_errors.total_m.n, score.missed_targets_of_unknown_range) == ((), 0, 0)
 
 
 def test_second_contact_on_a_target_that_no_pass_saw_is_no_duplicate() -> None:
@@ -260,7 +259,7 @@ def test_size_errors_take_the_height_above_the_floor_and_skip_what_is_not_stated
     ]
     found = scored(contacts, [truth_object(0.0, 0.0, **sizes), truth_object(20.0, 0.0)]).size_errors
     assert (found.length_m.n, found.height_m.n) == (1, 1)
-    assert found.length_m.median == pytest.approx(-0.2)
+    assert (found.length_m.median, found.length_m.p95_absolute) == pytest.approx((-0.2, 0.2))
     assert found.height_m.median == pytest.approx(0.05)
     assert (found.width_m.n, found.width_m.median, found.width_m.p95_absolute) == (0, None, None)
 
@@ -314,6 +313,15 @@ def test_the_payloads_own_calls_are_scored_beside_what_was_asked(tmp_path: Path)
     assert "2.5 on this area" in text
 
 
+def test_missions_without_contacts_count_among_calls_and_have_to_be_asked_for_the_same() -> None:
+    found = mission([contact(0.0, 0.0, called=True)], [truth_object(0.0, 0.0)])._replace(asked_per_km2=25.0)
+    missed = mission([], [truth_object(0.0, 0.0)])
+    for asked_per_km2, said in ((25.0, 25.0), (30.0, None)):
+        called = score_missions([found, missed._replace(asked_per_km2=asked_per_km2)]).called
+        assert called is not None
+        assert (called.asked_per_km2, called.pd.count, called.pd.of) == (said, 1, 2)
+
+
 def test_contacts_that_do_not_say_whether_they_are_called_have_no_operating_point() -> None:
     score = score_missions([mission([contact(0.0, 0.0, called=True), contact(5.0, 0.0)], [truth_object(0.0, 0.0)])])
     assert score.called is None
@@ -322,15 +330,15 @@ def test_contacts_that_do_not_say_whether_they_are_called_have_no_operating_poin
 
 def test_p_mine_is_compared_with_what_lay_there() -> None:
     contacts = [contact(10.0 * number, 0.0, 0.25) for number in range(4)] + [
-        contact(0.5, 0.5, 0.95),
-        contact(100.0, 0.0, 0.95),
+        contact(0.5, 0.5, 0.9),
+        contact(100.0, 0.0, 0.9),
     ]
     objects = [truth_object(0.0, 0.0), truth_object(100.0, 0.0, looks=[])]
     kept = score_missions([mission(contacts, objects)]).calibration
     assert kept is not None
     assert [(each.low, each.on_mines.count, each.on_mines.of) for each in kept.bins] == [(0.2, 1, 4), (0.9, 1, 1)]
-    assert kept.error == pytest.approx((4 * 0.0 + 1 * 0.05) / 5)
-    assert "expected calibration error of p_mine, in ten bins: 0.010" in table(
+    assert kept.error == pytest.approx((4 * 0.0 + 1 * 0.1) / 5)
+    assert "expected calibration error of p_mine, in ten bins: 0.020" in table(
         score_missions([mission(contacts, objects)])
     )
 
@@ -343,7 +351,7 @@ def test_without_contacts_there_is_no_calibration() -> None:
 
 
 def test_the_truth_of_another_place_is_refused_and_a_mission_that_found_nothing_is_not(tmp_path: Path) -> None:
-    truth = {"area_km2": 0.1, "objects": [truth_object(0.0, 0.0)]}
+    truth = {"area_km2": 0.1, "objects": [truth_object(-30_000.0, 0.0), truth_object(0.0, 0.0)]}
     missed = write_pair(tmp_path, [contact(9_000.0, 0.0)], truth, "missed")
     assert score_files(missed).n_contacts == 1
     elsewhere = write_pair(tmp_path, [contact(30_000.0, 0.0)], truth, "elsewhere")

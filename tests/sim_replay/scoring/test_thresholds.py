@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec import structs
 
 from sim_replay.scoring.inputs import ReportedContact, ScoredMission, Truth, TruthObject
 from sim_replay.scoring.score import score_missions
@@ -61,8 +62,9 @@ def test_the_best_pd_at_a_limit_takes_as_many_false_alarms_as_are_allowed_with_o
 
 
 def test_contacts_are_placed_on_targets_before_other_objects_and_the_best_counts() -> None:
-    objects = (here(0.0), here(2.5, "rock"), here(50.0, "rock"), here(90.0))
-    found = best_scores(mission({1.4: 0.9, -0.5: 0.3, 50.0: 0.6, 70.0: 0.2, 90.0: 0.4}, *objects))
+    unseen = structs.replace(here(120.0), looks=())
+    objects = (here(0.0), here(2.5, "rock"), here(50.0, "rock"), here(90.0), unseen)
+    found = best_scores(mission({1.4: 0.9, -0.5: 0.3, 50.0: 0.6, 70.0: 0.2, 90.0: 0.4, 120.0: 0.7}, *objects))
     assert sorted(found.targets.tolist()) == [0.4, 0.9]
     assert sorted(found.false_alarms.tolist()) == [0.2, 0.6]
 
