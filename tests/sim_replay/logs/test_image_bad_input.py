@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ import tifffile
 
 from auv_mcm.cli import main
 from auv_mcm.errors import BadInputError
+from auv_mcm.records import NavSample
 from auv_mcm.settings.config import Config
 from sim_replay.logs.image_sidecar import sidecar_path
 from sim_replay.logs.open_log import open_log
@@ -92,6 +94,7 @@ PLACED: dict[str, Any] = {
     "track": None,
     "corners": CORNERS,
 }
+SKEWED = CORNERS | {"far_last": [43.000056, 5.500075]}
 NAN_PLACE = (float("nan"), *(0.0,) * 15)
 
 BAD: dict[str, tuple[Callable[[Path], Path], str]] = {
@@ -136,6 +139,14 @@ BAD: dict[str, tuple[Callable[[Path], Path], str]] = {
         lambda d: beside(tiff(d), **(PLACED | {"pixel_across_m": 0.05})),
         "`pixel_across_m` the image is 3.2 m",
     ),
+    "lines askew": (
+        lambda d: beside(tiff(d), **(PLACED | {"corners": SKEWED | {"far_first": [43.00002, 5.500075]}})),
+        r"not at right angles to the track \(70 degrees\)",
+    ),
+    "a corner elsewhere": (
+        lambda d: beside(tiff(d), **(PLACED | {"corners": SKEWED})),
+        "corners make no parallelogram",
+    ),
     "complex as amplitude": (
         lambda d: beside(tiff(d, plane(np.complex64))),
         "holds complex numbers.*Write what they are",
@@ -152,8 +163,39 @@ def test_a_bad_image_is_refused_with_what_to_do(name: str, tmp_path: Path) -> No
         open_log(write(tmp_path), Config())
 
 
-def test_corners_that_fit_are_taken(tmp_path: Path) -> None:
-    assert next(iter(open_log(beside(tiff(tmp_path), **PLACED), Config())))
+STEP_DEG = 0.000075 / 64, 0.000036 / 40  # of a pixel of the corners
+
+
+@pytest.mark.parametrize(
+    ("edge", "tie"), [("left", ""), ("left", "area"), ("right", "point"), ("top", "area"), ("bottom", "point")]
+)
+def test_corners_or_the_tie_of_a_map_that_fit_place_every_line(edge: str, tie: str, tmp_path: Path) -> None:
+    """A map has north at the top; its tie is the corner of a pixel, or the middle where pixels are points."""
+    half = 0.5 * (tie == "point")
+    place_deg = 5.5 + (10 + half) * STEP_DEG[0], 43.000036 - (7 + half) * STEP_DEG[1]
+    keys = (1, 1, 0, 2, 1025, 0, 1, 1 + (tie == "point"), 2048, 0, 1, 4326)
+    tags = [
+        (33550, "d", 3, (*STEP_DEG, 0.0), False),
+        (33922, "d", 6, (10.0, 7.0, 0.0, *place_deg, 0.0), False),
+        (34735, "H", len(keys), keys, False),
+    ]
+    to_north = edge in ("left", "right")
+    changes: dict[str, Any] = {"near_edge": edge, "side": "starboard" if edge in ("left", "top") else "port"}
+    changes |= {"corners": None, "lines": "backward" if to_north else "forward"} if tie else {}
+    changes |= {} if to_north else {"pixel_along_m": 0.0955, "pixel_across_m": 0.1}
+    log = open_log(beside(tiff(tmp_path, extratags=tags if tie else []), **(PLACED | changes)), Config())
+    fixes = [event for event in log if isinstance(event, NavSample)]
+    assert {round(math.degrees(fix.heading_rad), 3) % 360.0 for fix in fixes} == {0.0 if to_north else 90.0}
+    lines = (np.arange(40 if to_north else 64) + 0.5) * STEP_DEG[to_north]
+    ten_m_deg = 10.0 / 6.112 * 0.000075, 10.0 / 4.0 * 0.000036
+    north_deg, east_deg = {
+        "left": (lines, -ten_m_deg[0]),
+        "right": (lines, 0.000075 + ten_m_deg[0]),
+        "top": (0.000036 + ten_m_deg[1], lines),
+        "bottom": (-ten_m_deg[1], lines),
+    }[edge]
+    assert np.abs(np.array([fix.latitude_deg - 43.0 for fix in fixes]) - north_deg).max() < 1e-7
+    assert np.abs(np.array([fix.longitude_deg - 5.5 for fix in fixes]) - east_deg).max() < 1e-7
 
 
 def test_replay_exits_with_3_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -183,20 +183,26 @@ def test_positions_that_are_held_between_fixes_give_the_course_of_the_fixes(tmp_
     assert len({fix.longitude_deg for fix in fixes}) == N_LINES - 3, "no steps, but for the end"
 
 
-def test_a_track_that_a_spreadsheet_saved_with_a_byte_order_mark_is_read(tmp_path: Path) -> None:
-    np.save(tmp_path / "image.npy", plane())
-    path = beside(tmp_path / "image.npy")
-    track = tmp_path / "track.csv"
-    track.write_bytes(b"\xef\xbb\xbf" + track.read_bytes())
-    assert len(pings(path)) == N_LINES
-
-
-def test_a_track_with_blanks_behind_its_commas_is_read(tmp_path: Path) -> None:
+def test_a_track_is_filled_between_its_rows_across_the_antimeridian_and_north(tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", plane())
-    expected = [ping.time_s for ping in pings(beside(tmp_path / "a.npy"))]
+    path = beside(tmp_path / "a.npy", lines="backward")
+    rows = ["0,0.0,179.99998,350.0,8.0", "39,0.0,-179.999985,10.0,10.0"]
+    (tmp_path / "track.csv").write_text("\n".join(["line,latitude_deg,longitude_deg,heading_deg,altitude_m", *rows]))
+    events = list(open_log(path, SAS))
+    fixes = [event for event in events if isinstance(event, NavSample)]
+    share = np.linspace(1.0, 0.0, N_LINES)  # the last line was recorded first
+    assert [fix.longitude_deg % 360.0 for fix in fixes] == pytest.approx(179.99998 + 0.000035 * share, abs=1e-7)
+    turned_deg = [math.degrees(math.remainder(fix.heading_rad, math.tau)) for fix in fixes]
+    assert turned_deg == pytest.approx(-10.0 + 20.0 * share, abs=1e-6)
+    assert [event.altitude_m for event in events if isinstance(event, Ping)] == pytest.approx(8.0 + 2.0 * share)
+
+
+def test_a_track_with_a_spreadsheets_byte_order_mark_and_blanks_behind_commas_is_read(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", plane())
+    expected = list(open_log(beside(tmp_path / "a.npy"), SAS))
     track = tmp_path / "track.csv"
-    track.write_text(track.read_text().replace(",", ", "))
-    assert [ping.time_s for ping in pings(tmp_path / "a.npy")] == expected
+    track.write_text("\ufeff" + track.read_text().replace(",", ", "), "utf-8")
+    assert [repr(event) for event in open_log(tmp_path / "a.npy", SAS)] == [repr(event) for event in expected]
 
 
 def test_grazing_angle_stands_for_altitude(tmp_path: Path) -> None:

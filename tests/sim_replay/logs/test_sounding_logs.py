@@ -93,8 +93,10 @@ def test_pings_and_navigation_are_those_that_were_written(name: str, tmp_path: P
         assert abs(sample.longitude_deg - near.longitude_deg) * 81_300.0 < tolerance_m
         assert sample.heading_rad == pytest.approx(near.heading_rad, abs=1e-6 if name != "B002.SON" else 9e-4)
         assert sample.speed_mps == pytest.approx(near.speed_mps, abs=1e-6 if name[0] in "l5" else 0.051)
-        assert math.isnan(sample.roll_rad) or sample.roll_rad == pytest.approx(near.roll_rad, abs=1e-6)
-        assert math.isnan(sample.depth_m) or sample.depth_m == pytest.approx(near.depth_m, abs=1e-5)
+        level = (near.pitch_rad, near.roll_rad) if is_exact else (math.nan, math.nan)
+        assert (sample.pitch_rad, sample.roll_rad) == pytest.approx(level, abs=1e-6, nan_ok=True)
+        depth_m = near.depth_m if name == "3502.sdf" else math.nan
+        assert sample.depth_m == pytest.approx(depth_m, abs=1e-5, nan_ok=True)
 
 
 @pytest.mark.parametrize(
@@ -113,18 +115,22 @@ def test_metres_of_the_map_become_degrees(
     assert place(x, y) == pytest.approx((latitude_deg, longitude_deg), abs=1e-5)
 
 
-def test_where_a_klein_fish_has_a_place_that_is_no_number_the_ships_is_taken(tmp_path: Path) -> None:
+@pytest.mark.parametrize("fish_rad", [math.nan, 0.1])
+def test_the_place_is_that_of_a_klein_fish_or_else_of_its_ship(fish_rad: float, tmp_path: Path) -> None:
     path = written("3000.sdf", tmp_path)
     data, at = bytearray(path.read_bytes()), 0
     while at < len(data):
-        struct.pack_into("<2d", data, at + 164, math.nan, math.nan)
+        struct.pack_into("<I", data, at + 96, 37)
+        struct.pack_into("<f", data, at + 220, 0.0)  # hundredths count without a finer fraction
+        struct.pack_into("<2d", data, at + 164, fish_rad, fish_rad)
         at += 4 + struct.unpack_from("<I", data, at + 4)[0]
     path.write_bytes(data)
     found, sent = (
-        [event.latitude_deg for event in events if isinstance(event, NavSample)]
-        for events in (open_log(path, Config()), EVENTS)
+        next(event for event in events if isinstance(event, NavSample)) for events in (open_log(path, Config()), EVENTS)
     )
-    assert found[0] == pytest.approx(sent[0])
+    expected_deg = sent.latitude_deg if math.isnan(fish_rad) else math.degrees(fish_rad)
+    assert found.latitude_deg == pytest.approx(expected_deg)
+    assert found.time_s % 1.0 == pytest.approx(0.37)
 
 
 def test_frames_of_version_13_have_a_longer_header(tmp_path: Path) -> None:
