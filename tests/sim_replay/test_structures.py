@@ -16,7 +16,7 @@ from scipy.spatial import ConvexHull
 
 from auv_mcm.cli import main
 from auv_mcm.geometry.geodesy import LocalFrame
-from sim_replay.structures import LINK_M, MIN_MEMBERS, Member, find_structures
+from sim_replay.structures import LINK_M, MIN_MEMBERS, Member, find_structures, structure_feature
 from sim_replay.vector_layers import read_layers
 from tests.make.results import write_results
 from tests.sim_replay.report_samples import contact, detection
@@ -89,6 +89,9 @@ def test_across_the_antimeridian_the_outline_is_split() -> None:
     home = LocalFrame(latitude_deg=10.0, longitude_deg=180.0)
     (found,) = find_structures(members(wreck() - [150.0, 150.0], home))
     assert found.length_m == pytest.approx(31.0, abs=1.5)
+    pieces = [np.array(piece[0])[:, 0] for piece in structure_feature(found)["geometry"]["coordinates"]]
+    assert sorted(float(np.sign(piece).mean()) for piece in pieces) == [-1.0, 1.0]
+    assert min(np.abs(piece).min() for piece in pieces) > 179.999
 
 
 @pytest.fixture(scope="module")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -86,18 +87,17 @@ def test_an_empty_spec_is_refused(track: PingTrack) -> None:
         placed("", track)
 
 
-def test_places_in_a_turn_are_refused(tmp_path: Path) -> None:
-    turning = track_of(read_survey(written(tmp_path / "turn.xtf", mission(turn_rate_rad_s=0.3)), CONFIG), CONFIG)
-    with pytest.raises(UsageError, match="in a turn"):
-        placed("targets: [{kind: box, side: port, ping: 80, ground_range_m: 10}]", turning)
-
-
-def test_places_without_a_bottom_are_refused(tmp_path: Path) -> None:
-    blind = track_of(
-        read_survey(written(tmp_path / "blind.xtf", mission(lambda ground_m, ping: 0.0 * ground_m)), CONFIG), CONFIG
-    )
-    with pytest.raises(UsageError, match="bottom below the sonar is not seen"):
-        placed("targets: [{kind: box, side: port, ping: 80, ground_range_m: 10}]", blind)
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"turn_rate_rad_s": 0.3}, "in a turn"),
+        ({"shading": lambda ground_m, ping: 0.0 * ground_m}, "bottom below the sonar is not seen"),
+    ],
+)
+def test_places_in_a_turn_or_without_a_bottom_are_refused(changes: dict[str, Any], words: str, tmp_path: Path) -> None:
+    odd = track_of(read_survey(written(tmp_path / "odd.xtf", mission(**changes)), CONFIG), CONFIG)
+    with pytest.raises(UsageError, match=words):
+        placed("targets: [{kind: box, side: port, ping: 80, ground_range_m: 10}]", odd)
 
 
 def test_scattered_objects_keep_apart_and_clear(track: PingTrack) -> None:

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from threading import Thread
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -231,26 +232,23 @@ def test_a_log_that_kills_its_process_fails_and_the_others_are_replayed(
     assert len(outcomes) == len(DAYS) + 2
 
 
-def test_a_defect_in_one_log_is_reported_as_such(
-    archive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("error", "failure", "exit_code"),
+    [
+        (ZeroDivisionError("of a test"), "defect: ZeroDivisionError: of a test", 1),
+        (
+            OSError(28, "No space left on device", "contacts.csv"),
+            "contacts.csv: No space left on device",
+            HardwareError.exit_code,
+        ),
+    ],
+)
+def test_a_defect_in_one_log_is_reported_as_such_and_a_full_disk_is_none(
+    error: Exception, failure: str, exit_code: int, archive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def fail(*_: object, **__: object) -> None:
-        raise ZeroDivisionError("of a test")
-
-    monkeypatch.setattr(batch_missions, "replay", fail)
+    monkeypatch.setattr(batch_missions, "replay", Mock(side_effect=error))
     outcome = batch_missions.replay_mission(tasks_of(archive, tmp_path)[0])
-    assert outcome.failure == "defect: ZeroDivisionError: of a test"
-    assert outcome.exit_code == 1
-
-
-def test_a_full_disk_is_no_defect(archive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(*_: object, **__: object) -> None:
-        raise OSError(28, "No space left on device", "contacts.csv")
-
-    monkeypatch.setattr(batch_missions, "replay", fail)
-    outcome = batch_missions.replay_mission(tasks_of(archive, tmp_path)[0])
-    assert outcome.failure == "contacts.csv: No space left on device"
-    assert outcome.exit_code == HardwareError.exit_code
+    assert (outcome.failure, outcome.exit_code) == (failure, exit_code)
 
 
 def test_two_runs_into_one_folder_are_kept_apart(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ import pytest
 
 from auv_mcm.contacts.background import BIN_NATS, KNOTS_NATS, LEVELS_NATS, interpolation, parse_background
 from auv_mcm.errors import UsageError
+from sim_replay.fitting import fit_background
 from sim_replay.fitting.fit_background import (
     ASKED_PER_KM2,
     SortedContacts,
@@ -60,6 +61,16 @@ def test_a_scene_is_judged_by_what_the_others_give() -> None:
         assert one.reached == tuple(judged(own, point.asked_per_km2) for point in one.reached)
         assert [point.n_targets for point in one.reached] == [66] * len(ASKED_PER_KM2)
     assert left_out([drawn_mission(seed) for seed in range(3)]) == ()
+
+
+def test_contacts_count_from_the_level_called_and_the_density_asked_is_over_the_true_area(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(fit_background, "called_from_nats", lambda everything, area_km2, asked_per_km2: area_km2)
+    background, mines = np.array([-1.0, 0.2, 3.0, 4.0]), np.array([0.1, 0.2, 5.0])
+    one = SortedContacts("flat", np.append(background, mines), background, mines, 7, 0.2, 0.5, background > 3.0)
+    point = judged([one, one], 30.0)
+    assert (point.n_asked, point.n_reached, point.n_called, point.n_targets) == (30.0, 6, 4, 14)
 
 
 def test_a_model_is_read_back_as_it_was_written() -> None:
