@@ -210,6 +210,7 @@ def test_what_is_searched_reaches_every_size_listed() -> None:
     ranges = search_ranges(TargetLibrary(mines=listed))
     assert plausibility("sphere", np.array([0.8, 0.0]), ranges) == 1.0
     assert plausibility("truncated_cone", np.array([0.7, 0.5, 0.4 / 1.4]), ranges) == 1.0
+    assert plausibility("truncated_cone", np.array([1.15 * 0.7, 0.5, 0.4 / 1.4]), ranges) == pytest.approx(0.5)
     assert ranges["cylinder"] == USUAL_RANGES["cylinder"]
     assert not is_usual(listed[0])
     assert is_usual(ExpectedWedge(length_m=1.02))

@@ -23,11 +23,13 @@ def a_track(**columns: list[float]) -> PoseTrack:
 
 
 def test_rows_are_blended_linearly_and_held_at_the_ends() -> None:
-    track = a_track(time_s=[10.0, 11.0, 13.0], heading_rad=[6.2, 6.4, 6.4], depth_m=[1.0, 2.0, 4.0])
+    plain = {name: [1.0, 2.0, 4.0] for name in POSE_FIELDS if name not in ("latitude_deg", "longitude_deg", "stale")}
+    track = a_track(**{**plain, "time_s": [10.0, 11.0, 13.0], "heading_rad": [6.2, 6.4, 6.4]})
     blended = interpolate_track(track, np.array([-1.0, 0.0, 0.25, 1.5, 2.0, 9.0]))
     np.testing.assert_allclose(blended.time_s, [10.0, 10.0, 10.25, 12.0, 13.0, 13.0])
     np.testing.assert_allclose(blended.heading_rad, [6.2, 6.2, 6.25, 6.4, 6.4, 6.4])
-    np.testing.assert_allclose(blended.depth_m, [1.0, 1.0, 1.25, 3.0, 4.0, 4.0])
+    for name in plain.keys() - {"heading_rad"}:
+        np.testing.assert_allclose(getattr(blended, name), [1.0, 1.0, 1.25, 3.0, 4.0, 4.0], err_msg=name)
 
 
 @pytest.mark.parametrize(("latitude", "longitude"), [(10.0, 179.99999), (89.99999, 45.0), (-89.0, -180.0)])

@@ -8,14 +8,13 @@ from collections.abc import Iterator
 import msgspec
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.geometry.navigation import NavBuffer
 from auv_mcm.records import NAN, NavSample, PoseTrack
 from auv_mcm.settings.config import NavigationConfig
+from tests.auv_mcm.geometry.nav_samples import FRAME, START_S, east_north
 
-START_S = 1_700_000_000.0
-FRAME = LocalFrame(latitude_deg=43.7, longitude_deg=10.3)
 HEADING_RAD = math.radians(70.0)
 SPEED_MPS = 1.6
 
@@ -48,6 +47,12 @@ def flown(buffer: NavBuffer, *events: NavSample) -> PoseTrack:
     for event in events:
         buffer.add(event)
     return buffer.interpolate(START_S + np.arange(0.0, 59.0, 0.5))
+
+
+def off_line_m(track: PoseTrack) -> NDArray[np.float64]:
+    """Places less those of the vehicle, east and north."""
+    way_m = SPEED_MPS * np.arange(0.0, 59.0, 0.5)
+    return np.asarray(east_north(track) - way_m[:, None] * np.array([math.sin(HEADING_RAD), math.cos(HEADING_RAD)]))
 
 
 def codes(buffer: NavBuffer) -> list[str]:
@@ -119,24 +124,19 @@ def test_a_vehicle_that_stands_and_says_so_makes_no_way() -> None:
 @pytest.mark.parametrize("speed_mps", [SPEED_MPS, 3.0 * SPEED_MPS])
 def test_fixes_five_seconds_apart_are_bridged(speed_mps: float) -> None:
     track = flown(NavBuffer(NavigationConfig()), *samples(speed_mps, fix_s=5.0))
-    places = FRAME.to_enu(track.latitude_deg, track.longitude_deg, 0.0)[:, :2]
-    way_m = SPEED_MPS * np.arange(0.0, 59.0, 0.5)
-    expected = way_m[:, None] * np.array([math.sin(HEADING_RAD), math.cos(HEADING_RAD)])
     bridged = ~track.stale
     assert bridged[4:110].all()
-    np.testing.assert_allclose(places[4:110], expected[4:110], atol=0.05)
-    assert 0.0 < track.position_sigma_m[bridged].max() < 1.0
+    np.testing.assert_allclose(off_line_m(track)[4:110], 0.0, atol=0.05)
+    # 5 % of the way to the nearer of both fixes
+    assert track.position_sigma_m[4:110].max() == pytest.approx(0.05 * 2.5 * SPEED_MPS, abs=0.01)
 
 
 @pytest.mark.parametrize("heading_rad", [NAN, 0.0])
 def test_the_course_bridges_fixes_five_seconds_apart_where_no_heading_is_known(heading_rad: float) -> None:
     events = [msgspec.structs.replace(one, heading_rad=heading_rad, speed_mps=NAN) for one in samples(NAN, fix_s=5.0)]
     track = flown(NavBuffer(NavigationConfig()), *events)
-    places = FRAME.to_enu(track.latitude_deg, track.longitude_deg, 0.0)[:, :2]
-    way_m = SPEED_MPS * np.arange(0.0, 59.0, 0.5)
-    expected = way_m[:, None] * np.array([math.sin(HEADING_RAD), math.cos(HEADING_RAD)])
     assert not track.stale[12:100].any()
-    np.testing.assert_allclose(places[12:100], expected[12:100], atol=0.05)
+    np.testing.assert_allclose(off_line_m(track)[12:100], 0.0, atol=0.05)
 
 
 @pytest.mark.parametrize("heading_rad", [0.0, math.tau])

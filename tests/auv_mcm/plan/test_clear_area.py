@@ -216,8 +216,7 @@ def test_legs_are_flown_until_the_clearance_is_reached_and_then_none() -> None:
 
 def test_a_leg_that_is_not_reported_yet_is_not_flown_twice() -> None:
     slow, quick = Mission(shown_after_s=100.0), Mission(shown_after_s=5.0)
-    assert slow.run().startswith("done")
-    assert quick.run().startswith("done")
+    assert all(mission.run().startswith("done") for mission in (slow, quick))
     assert len(slow.flown) <= len(quick.flown)
 
 
@@ -233,8 +232,11 @@ def test_a_leg_whose_plan_was_lost_with_its_process_is_reported_again_and_counts
     assert request is not None
     assert request.flown == flown == mission.look_again.so_far().flown
     assert mission.propose(request) == mission.propose(request)
+    while len(both := mission.look_again.so_far().flown) < 2:  # flown while the plan is made
+        mission._go(next(steps))
+        mission.now_s += 2.0
     mission.look_again.take(mission.propose(request), mission.now_s)
-    assert mission.look_again.so_far().flown == ()
+    assert mission.look_again.so_far().flown == both[1:]
 
 
 @pytest.mark.parametrize(("p", "is_enough"), [(0.75, False), (0.85, True)])
@@ -244,6 +246,8 @@ def test_a_leg_that_is_not_shown_yet_counts_for_what_one_view_clears(p: float, i
     mission.ping()
     leg = mission.geodetic((-50.0, 0.0)), mission.geodetic((110.0, 0.0))
     request = PlanRequest(*mission.geodetic((110.0, 0.0)), 1.57, frozenset(), 160.0, (leg,), mission.now_s)
+    for side, stop_s in (("port", mission.now_s - 200.0), ("starboard", mission.now_s)):  # the strip lies to port
+        mission.planner.add(drawn_patch(side, stop_s - 10.0, stop_s, None))  # type: ignore[arg-type]  # a side by its name
     proposal = mission.propose(request)
     assert (proposal.waypoints == ()) is is_enough
     assert proposal.area is not None
@@ -382,7 +386,6 @@ def test_without_command_only_the_state_of_the_search_is_reported() -> None:
 def test_before_the_sonar_sounds_nothing_is_planned() -> None:
     mission = Mission()
     assert not mission.plan()
-    assert mission.codes == ["survey_waits"]
     assert mission.look_again.area is not None
     assert mission.look_again.area.verdict == "not yet, because no ping has shown how far the sonar reaches"
     mission.ping()
@@ -405,9 +408,7 @@ def test_a_reason_to_wait_does_not_hide_a_later_one() -> None:
 
 
 def test_a_clearance_that_is_reached_is_stated_beside_what_was_required() -> None:
-    verdict = Mission(required=0.954).run()
-    found, required = re.findall(r"\d\.\d+", verdict)
-    assert verdict.startswith("done")
+    found, required = re.findall(r"\d\.\d+", Mission(required=0.954).run())
     assert required == "0.954"
     assert float(found) >= 0.954
 

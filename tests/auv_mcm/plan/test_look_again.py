@@ -122,7 +122,8 @@ def outside(mission: Mission, *places_m: tuple[float, float]) -> list[tuple[str,
 def test_a_vehicle_that_stays_outside_its_fence_while_legs_are_wanted_is_reported_once() -> None:
     mission = Mission([contact(1, 40.0, 40.0)])
     assert outside(mission, *[(260.0, 20.0 * n) for n in range(5)]) == [("look_refused", True)]
-    assert outside(mission, *[(260.0, 0.0)] * 20) == [("vehicle_outside_fence", False)]
+    drifts = [(259.0 - n, 0.0) for n in range(20)]  # nearer, but by less than a vehicle on its way
+    assert outside(mission, *drifts) == [("vehicle_outside_fence", False)]
 
 
 @pytest.mark.parametrize(
@@ -140,6 +141,24 @@ def test_a_vehicle_that_turns_outside_its_fence_or_comes_to_it_is_not_reported(
 
 def test_a_vehicle_outside_its_fence_is_not_reported_where_no_leg_is_wanted() -> None:
     assert outside(Mission([]), *[(260.0, 0.0)] * 20) == []
+
+
+@pytest.mark.parametrize(("east_m", "is_far"), [(0.0, False), (16_000.0, False), (18_000.0, True)])
+def test_a_fence_is_far_by_the_way_to_its_nearest_edge(east_m: float, is_far: bool) -> None:
+    corners = tuple((60.0 * east, 60.0 * north) for east, north in SQUARE)
+    look_again = LookAgain(Config(vehicle=fenced(corners)))
+    look_again.request((*geodetic(east_m, 0.0), 0.0), 0.0, 0.0)
+    assert [notice.code for notice in look_again.take_notices()] == ["bounds_far_away"] * is_far
+
+
+def test_only_the_way_under_command_counts_and_no_jump_of_the_position() -> None:
+    mission = Mission([])
+    for north_m in (0.0, 40.0):
+        mission.be_at(0.0, north_m)
+    mission.be_at(0.0, 80.0, commanding=False)
+    for north_m in (90.0, 120.0, 1120.0, 1130.0):
+        mission.be_at(0.0, north_m)
+    assert mission.look_again.so_far().sailed_m == pytest.approx(40.0 + 30.0 + 10.0, abs=0.01)
 
 
 def test_a_leg_under_way_is_not_disturbed_and_a_new_contact_comes_after_it() -> None:
