@@ -88,10 +88,6 @@ def test_what_was_not_measured_has_no_sigma(name: ContactClass) -> None:
     assert all(map(math.isnan, reported[3:]))
 
 
-def test_without_burial_nothing_is_taken_off() -> None:
-    assert dimensions(model("sphere", {"radius_m": 0.4})).height_m == pytest.approx(0.8)
-
-
 @given(st.floats(0.05, 5.0), st.floats(0.05, 5.0), st.floats(0.05, 5.0))
 def test_length_is_never_less_than_width(length_m: float, width_m: float, height_m: float) -> None:
     wedge = dimensions(model("wedge", {"length_m": length_m, "width_m": width_m, "height_m": height_m}))

@@ -205,20 +205,6 @@ def test_ping_numbers_are_those_of_the_nearest_ping_or_none(
             assert distance[number - 100] <= distance.min() + 1e-9
 
 
-def test_a_constant_image_stays_constant() -> None:
-    random = np.random.default_rng(0)
-    along_m = np.cumsum(random.uniform(0.01, 0.4, 300))
-    plain = swath(along_m)
-    image = SideImage(
-        np.full((300, N_COLUMNS), 0.1, dtype=np.float32), np.full((300, N_COLUMNS), VALID, dtype=np.uint8)
-    )
-    for spacing_m in (0.05, 0.12, 0.5):
-        _, rows = rows_of(plain._replace(sides={"port": image}), spacing_m, 0.6, [40, 80])
-        inner = rows.sides["port"].intensity[10:-10]
-        assert (rows.sides["port"].mask[10:-10] == VALID).all()
-        np.testing.assert_allclose(inner, 0.1, rtol=1e-6)
-
-
 @pytest.mark.parametrize("gap_m", [0.59, 0.8, 4.0])
 def test_only_gaps_longer_than_permitted_leave_rows_without_data(gap_m: float) -> None:
     along_m = np.concatenate([np.arange(20) * 0.2, 19 * 0.2 + gap_m + np.arange(20) * 0.2])
