@@ -31,6 +31,7 @@ class Capability(enum.Flag):
     ACKNOWLEDGED = enum.auto()  # and acknowledges them
     HEALTH = enum.auto()  # it takes the payload's health
     DEPTHS_ALONE = enum.auto()  # it holds depths and no altitudes: it is commanded depths
+    INVITES = enum.auto()  # it offers control of itself: a request waits for that, and nothing of it is sent
 
 
 class Vertical(NamedTuple):

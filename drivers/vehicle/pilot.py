@@ -430,7 +430,7 @@ class Pilot(Generic[W]):
                     self._raise_notice(
                         "vehicle_control_returned", f"control of the vehicle is released: {reason}", logging.INFO
                     )
-                if n_unanswered == _MAX_UNANSWERED:
+                if n_unanswered == _MAX_UNANSWERED and Capability.INVITES not in self._talker.capabilities:
                     text = (
                         f"the vehicle answered none of {n_unanswered} requests for control, and no leg is flown until "
                         "it does. Does its mission let this payload command, and is its port set up so?"

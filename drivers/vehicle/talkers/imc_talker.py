@@ -146,7 +146,8 @@ class ImcTalker:
     def capabilities(self) -> Capability:
         """Return what is reported and commanded with these settings."""
         basic = Capability.NAVIGATION | Capability.WAYPOINT | Capability.CONTACT | Capability.HEALTH
-        return basic | Capability.ACKNOWLEDGED if self._settings.acknowledges else basic
+        answers = Capability.ACKNOWLEDGED if self._settings.acknowledges else Capability(0)
+        return basic | answers | (Capability(0) if self._settings.own_plan else Capability.INVITES)
 
     @property
     def silent_after_s(self) -> float:

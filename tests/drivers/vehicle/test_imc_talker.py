@@ -26,14 +26,16 @@ from drivers.vehicle.imc_messages import (
     RefState,
     ZUnits,
 )
-from drivers.vehicle.imc_wire import ImcPacket, to_wire
-from drivers.vehicle.vehicles import talker_of
+from drivers.vehicle.imc_wire import ImcPacket, packed, to_wire
+from drivers.vehicle.pilot import Pilot
+from drivers.vehicle.vehicles import decoder_of, talker_of
 from tests.drivers.vehicle.imc_talk import (
     GOAL,
     INVITED,
     KNOWS,
     LEARNS,
     OTHER,
+    SURVEY,
     US,
     UTC_S,
     VEHICLE,
@@ -43,6 +45,7 @@ from tests.drivers.vehicle.imc_talk import (
     stamp_at,
     succeeded,
 )
+from tests.drivers.vehicle.test_pilot import HOME_DEG, TWO_LEGS, settings
 from tests.make.records import report_of
 
 
@@ -263,6 +266,20 @@ def test_invited_by_the_vehicles_own_plan() -> None:
     talk.dialect.request(talk.now_s)
     assert talk.hear(imc.PlanControlState(PlanState.EXECUTING, "survey")) == [], "that invitation was used"
     assert talk.sent_of(imc.PlanControl, 3.0) == []
+
+
+def test_an_invitation_that_is_waited_for_is_no_request_without_an_answer() -> None:
+    pilot = Pilot(talker_of("imc", INVITED, lambda _: 0), settings(), session=7)
+    decoder = decoder_of("imc", INVITED, "vehicle")
+    pilot.connected(0.0)
+    pilot.propose(TWO_LEGS, 0.0)
+    for now_s in range(1, 120):
+        state = estimated(*HOME_DEG, depth=20.0, alt=8.0 + 0.01 * (now_s % 2))
+        said = b"".join(packed(message, VEHICLE, time_s=UTC_S + now_s) for message in (state, SURVEY))
+        pilot.hear(decoder.feed(said, stamp_at(now_s)), stamp_at(now_s))
+        pilot.take_outgoing(now_s)
+    assert pilot.counters["vehicle.requested"] > 6
+    assert pilot.take_notices() == []
 
 
 def test_an_invitation_that_is_over_is_none() -> None:
