@@ -170,7 +170,6 @@ class Authority:
         if self._state in ("requested", "granted"):
             action = self._give_back("down", reason, now_s)
         self._not_asked_for = False
-        self._heard_s = -math.inf
         self._go("down", reason, now_s)
         return action
 

@@ -207,12 +207,19 @@ def test_a_grant_that_nobody_asked_for_is_given_back_and_used_for_nothing() -> N
     assert authority.step(False, 1.2) == GiveBack("control was not requested")
 
 
-def test_an_unanswered_request_is_withdrawn_and_made_again() -> None:
+def test_an_unanswered_request_is_withdrawn_and_made_again_sooner_than_one_that_is_considered() -> None:
     authority = make()
     authority.connected(0.0)
-    asked = []
-    for tenth in range(240):
+    asked: list[float] = []
+    counts = []
+    for tenth in range(1560):
         authority.heard(tenth / 10.0)
-        if isinstance(authority.step(True, tenth / 10.0), Ask):
+        action = authority.step(True, tenth / 10.0)
+        if isinstance(action, Ask):
             asked.append(tenth / 10.0)
-    assert asked == pytest.approx([0.0, 11.1, 22.2], abs=0.15)
+            if len(asked) == 3:
+                authority.considered()
+        elif action is not None:
+            counts.append((action.n_unanswered, action.n_undecided))
+    assert asked == pytest.approx([0.0, 11.1, 22.2, 143.3, 154.4], abs=0.3)
+    assert counts == [(1, 0), (2, 0), (0, 1), (1, 0)]

@@ -263,6 +263,7 @@ def test_a_heading_is_held_inside_the_fence_for_as_long_as_its_time_out() -> Non
     east = WireCommand(heading_rad=math.pi / 2.0, speed_mps=1.5)
     assert code(guard, east._replace(holds_s=60.0), here) is None  # 90 m of 100
     assert code(guard, east._replace(holds_s=65.0), here) == "leads_out"
+    assert code(guard, east._replace(holds_s=1.0), state((93.0, 0.0))) == "leads_out", "as long as a command is valid"
 
 
 @pytest.mark.parametrize(
@@ -275,6 +276,7 @@ def test_a_heading_is_held_inside_the_fence_for_as_long_as_its_time_out() -> Non
         ({"heading_rad": math.nan}, "heading"),
         ({"speed_mps": 1.6}, "speed"),
         ({"holds_s": 100.0}, "leads_out"),
+        ({"heading_rad": None, "vertical": None, "speed_mps": None}, "unreadable"),
     ],
 )
 def test_an_ascent_is_let_through_without_depth_or_altitude_and_leads_up_alone(

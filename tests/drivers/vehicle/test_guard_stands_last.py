@@ -161,13 +161,14 @@ def test_a_depth_that_is_false_again_and_again_stays_within_its_maximum(name: st
 
 @DEPTHS_ALONE
 def test_a_vehicle_without_altitude_is_commanded_a_safe_depth_before_control_goes_back(name: str) -> None:
-    voyage = Voyage(name)
+    voyage = Voyage(name, command_valid_s=2.0)
     voyage.run(8.0)
     assert voyage.last_depth_m == pytest.approx(FLOOR_M - 5.0, abs=0.1)
     glitch(voyage, depth_m=10.0, altitude_m=0.0, for_s=5.0)
     assert voyage.pilot.authority != "granted"
     assert voyage.pilot.counters["vehicle.led_up"] == 1
-    slope_m = 0.5 * 1.5 * (3.0 + 5.0)  # of the floor since it was seen, and while the vehicle may hold the depth
+    holds_s = IverSettings().command_timeout_s if name == "iver" else 2.0
+    slope_m = 0.5 * 1.5 * (6.5 + holds_s)  # of the floor since it was seen, and while the vehicle may hold the depth
     assert voyage.last_depth_m <= FLOOR_M - 5.0 - slope_m + 0.1
     n_commands = len(voyage.commands)
     voyage.run(3.0)

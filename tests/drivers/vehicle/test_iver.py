@@ -56,6 +56,9 @@ def test_it_is_polled_and_steered_for_as_long_as_its_settings_say() -> None:
     dialect.report(REPORT, 1, 0.15)
     assert dialect.take_outgoing(0.15) == [sentence("OMS,123.0,24.6,15.0,2.9,2")]
     assert dialect.take_outgoing(0.31) == [b"$OSD,G,C,S,P,,,,*5F\r\n"], "a command is said once each time it is given"
+    dialect.command(STEER, 0.32)
+    dialect.release("done", 0.32)
+    assert dialect.take_outgoing(0.33) == []
 
 
 def test_release_says_nothing_and_the_vehicle_goes_on_by_itself_in_time() -> None:

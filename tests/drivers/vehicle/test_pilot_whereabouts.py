@@ -10,6 +10,7 @@ from auv_mcm.clock import Stamp
 from auv_mcm.records import NAN
 from drivers.vehicle.dialect import ReportedState
 from drivers.vehicle.whereabouts import Whereabouts
+from tests.drivers.vehicle.test_pilot import commanding
 
 STAMP = Stamp(0, 0)
 
@@ -40,3 +41,13 @@ def test_positions_that_cannot_be_are_not_believed(position_deg: tuple[float, fl
     assert math.isnan(state.latitude_deg)
     assert state.depth_m == 20.0
     assert all(map(math.isnan, whereabouts.position_deg))
+
+
+def test_a_command_that_would_lead_too_deep_is_not_given_to_a_dialect_that_does_not_read_it_back() -> None:
+    sea = commanding(10.0)
+    n_commands = len(sea.dialect.commands)
+    sea.reported["altitude_m"] = 200.0
+    sea.tick(5.0)
+    assert len(sea.dialect.commands) == n_commands
+    assert sea.pilot.counters["vehicle.refused.commands_too_deep"] == 1
+    assert sea.pilot.authority != "granted"

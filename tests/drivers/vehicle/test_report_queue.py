@@ -72,6 +72,8 @@ def test_an_unchanged_contact_is_not_sent_again() -> None:
     (due,) = queue.take_due(0.0)
     queue.add(contact(1))
     queue.acknowledge(due.ticket)
+    queue.add(contact(1, 0.6))
+    queue.add(contact(1))
     assert queue.take_due(0.1) == []
     assert queue.n_pending == 0
 
@@ -81,7 +83,7 @@ def test_an_unlikely_mine_is_sent_only_to_correct_an_earlier_report() -> None:
     queue.add(contact(1, 0.1))
     queue.add(contact(2, 0.5))
     queue.add(contact(2, 0.1))  # before it was sent
-    queue.add(contact(3, 0.5))
+    queue.add(contact(3, 0.2))
     assert revisions(queue.take_due(0.0)) == [(3, 1)]
     queue.add(contact(3, 0.01))
     (due,) = queue.take_due(0.1)
@@ -129,6 +131,19 @@ def test_a_report_is_sent_again_after_thirty_seconds_without_an_answer() -> None
     assert queue.n_pending == 1
     queue.acknowledge(again.ticket)
     assert queue.n_pending == 0
+
+
+def test_a_change_before_the_answer_goes_out_once_and_answers_to_what_it_replaces_count_for_nothing() -> None:
+    queue = empty_queue()
+    queue.add(contact(1, 0.5))
+    queue.take_due(0.0)
+    queue.link_lost()
+    queue.add(contact(1, 0.6))
+    (replaced,) = queue.take_due(1.0)
+    queue.add(contact(1, 0.7))
+    (latest,) = queue.take_due(2.0)
+    queue.acknowledge(replaced.ticket)
+    assert (latest.report.revision, queue.counters["vehicle.reports_acknowledged"], queue.n_pending) == (3, 0, 1)
 
 
 def test_a_rejected_revision_is_not_sent_again_and_a_later_one_is() -> None:
@@ -187,11 +202,16 @@ def test_early_contacts_that_were_taken_back_cost_no_later_contact_its_place(ack
         queue.add(EarlyContact(contact=each.contact, state="withdrawn").reported)
     queue.add(contact(2))  # the vehicle does not know yet that they are
     assert queue.counters["vehicle.reports_not_kept"] == 2
+    if acknowledges:
+        queue.take_due(0.0)
+        queue.add(contact(2))  # nor while its answers are awaited
+        queue.link_lost()
+        queue.add(contact(2))
     sends()
     for number in range(3, 7):
         queue.add(contact(number))
     assert revisions(queue.take_due(1.0)) == [(3, 1), (4, 1), (5, 1)]
-    assert queue.counters["vehicle.reports_not_kept"] == 3
+    assert queue.counters["vehicle.reports_not_kept"] == 3 + 2 * acknowledges
 
 
 def test_a_contact_without_a_position_is_not_sent() -> None:
