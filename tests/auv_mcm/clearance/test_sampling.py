@@ -49,6 +49,15 @@ def test_rows_are_coarse_where_the_ping_before_them_was(pings: list[tuple[float 
     assert codes == ["coverage.samples_too_coarse"] * is_any_coarse
 
 
+def test_a_segment_that_begins_earlier_goes_on_with_the_samples_of_before() -> None:
+    tile, sampling = tile_of(plain()), Sampling()
+    times_s = tile.pose.time_s
+    sampling.add(ping(float(times_s[-1]) + 100.0, 15.0, 15.0))
+    sampling.start_segment()
+    sampling.add(ping(float(times_s[5]), 0.2, 0.2))
+    assert sampling.coarse_rows(tile).tolist() == (times_s < times_s[5]).tolist()
+
+
 def test_two_samples_over_30_m_earn_no_coverage() -> None:
     tile = tile_of(plain())
     sampling = Sampling()

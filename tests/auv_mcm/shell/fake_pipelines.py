@@ -117,6 +117,15 @@ class Base:
         return [self.find(contact(9999))]
 
 
+class Unlikely(Base):
+    """Keeps a contact more, from the first ping on, that never gets likely enough to be announced."""
+
+    def feed(self, event: SourceEvent) -> list[PipelineEvent]:
+        if isinstance(event, Ping) and not event.number:
+            self.kept.add(contact(5000))
+        return super().feed(event)
+
+
 class Digesting(Base):
     """Answers each ping with a digest of everything in it, and with a tile, which must not come across."""
 

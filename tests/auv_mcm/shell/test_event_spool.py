@@ -57,10 +57,10 @@ def test_events_come_back_to_the_bit_by_number(tmp_path: Path) -> None:
 def test_how_events_were_fed_comes_back_too(tmp_path: Path) -> None:
     spool = spooled(tmp_path, EVENTS[:10])
     spool.mark_dropped(4, 6)
-    spool.mark_room(7, 0.25)
+    spool.mark_room(3, 0.25)
     spool.mark_reserved(9, 12)
     spool.close()
-    assert {each.number: each.room for each in spool.read(2, 10)} == {3: 1.0, 6: 1.0, 7: 0.25, 8: 1.0, 9: 1.0, 10: 1.0}
+    assert {each.number: each.room for each in spool.read(2, 10)} == {3: 0.25, 6: 1.0, 7: 1.0, 8: 1.0, 9: 1.0, 10: 1.0}
     assert spool.reservations() == {9: 12}
 
 
@@ -133,6 +133,22 @@ def test_a_file_that_cannot_be_removed_ends_nothing(tmp_path: Path) -> None:
     assert read(tmp_path) == expected(range(1, 7))
 
 
+def test_behind_what_a_slow_disk_did_not_take_nothing_is_kept_until_the_next_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    spool = spooled(tmp_path, EVENTS[:3])
+    with monkeypatch.context() as slow:
+        slow.setattr("auv_mcm.shell.event_spool.QUEUE_BYTES", 0)
+        spool.append(EVENTS[3])
+    spool.append(EVENTS[4])
+    assert spool.n_lost == 2
+    spool.forget(0)
+    spool.flush()
+    spool.append(EVENTS[5])
+    spool.close()
+    assert read(tmp_path) == expected(range(1, 4)) + expected(range(6, 7))
+
+
 def test_a_disk_that_takes_nothing_costs_what_is_kept_and_no_event(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -150,6 +166,8 @@ def test_the_newest_sound_checkpoint_counts_once_it_is_committed(tmp_path: Path)
         commit_checkpoint(tmp_path, number)
     assert [path.name for path in tmp_path.glob("pending-*")] == ["pending-000000000040.bin"]
     assert list(read_checkpoints(tmp_path)) == [(30, b"state 30"), (20, b"state 20")]
-    (tmp_path / "checkpoint-000000000030.bin").write_bytes(b"auv-mcm checkpoint 1\n torn")
-    assert list(read_checkpoints(tmp_path)) == [(20, b"state 20")]
+    newest = tmp_path / "checkpoint-000000000030.bin"
+    for damaged in (newest.read_bytes()[:-1] + b"1", b"auv-mcm checkpoint 1\n torn"):
+        newest.write_bytes(damaged)
+        assert list(read_checkpoints(tmp_path)) == [(20, b"state 20")]
     assert newest_checkpoint(tmp_path) == 30, "its number is taken"

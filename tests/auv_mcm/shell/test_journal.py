@@ -31,8 +31,8 @@ def test_a_full_disk_tears_no_journal_line_and_loses_none(
     n_records: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "j.jsonl"
+    path.write_text('{"number":0}\n')  # of a run before
     journal = Journal(path)
-    journal.append([{"number": 0}])
     with monkeypatch.context() as disk:
         disk.setattr("auv_mcm.shell.journal.os.fsync", full)
         with pytest.raises(OSError, match="No space"):

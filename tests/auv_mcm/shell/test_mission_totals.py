@@ -10,9 +10,12 @@ from msgspec import structs
 
 from auv_mcm.clearance.clearance_map import Clearance
 from auv_mcm.clearance.residual import PRIOR_SHARE, remaining_mines
+from auv_mcm.contacts.expected_alarms import expected_alarms
+from auv_mcm.contacts.operating_point import OperatingPoint
+from auv_mcm.detect.belief import probability
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.settings.plan_settings import PlanConfig
-from auv_mcm.shell.mission_totals import area_totals, clearance_notices, contact_totals, search_totals
+from auv_mcm.shell.mission_totals import area_totals, clearance_notices, contact_totals, point_totals, search_totals
 from tests.auv_mcm.classify import drawn_looks
 from tests.auv_mcm.contacts.test_seen_area import patch
 from tests.make.records import clearance_of
@@ -118,13 +121,23 @@ def test_an_area_to_clear_is_summed_up_and_what_of_it_was_not_seen_counts_as_not
     latitude_deg, longitude_deg, _ = frame.to_geodetic(
         [[0.0, 0.0, 0.0], [0.0, 15.0, 0.0], [7.0, 15.0, 0.0], [7.0, 0.0, 0.0]]
     )
-    plan = PlanConfig(area_deg=tuple(zip(latitude_deg.tolist(), longitude_deg.tolist(), strict=True)))
+    required = float(searched_half().p_detected[0, 1])
+    area_deg = tuple(zip(latitude_deg.tolist(), longitude_deg.tolist(), strict=True))
+    plan = PlanConfig(area_deg=area_deg, required_clearance=required)
     area = area_totals(searched_half(), plan, "cannot, because")["area"]
     assert area["km2"] == pytest.approx(8 * 16e-6, abs=1e-6)
     assert area["p_detected_mean"] == pytest.approx((0.5 + 0.9001 + 0.96) / 8.0, abs=1e-4)
     assert area["percent_at_required"] == pytest.approx(25.0)
-    assert (area["required"], area["reached"], area["verdict"]) == (0.9, False, "cannot, because")
+    assert (area["required"], area["reached"], area["verdict"]) == (required, False, "cannot, because")
     assert area_totals(None, plan)["area"]["p_detected_mean"] == 0.0
+
+
+def test_false_alarms_are_expected_among_what_the_operating_point_calls() -> None:
+    point = OperatingPoint(10.0, 3, 0.5, expected_alarms([3.0, 1.0, -1.0], 0.5), level_nats=1.0)
+    totals = point_totals(point)["operating_point"]
+    assert totals["called_from_p_mine"] == pytest.approx(probability(1.0), abs=1e-6)
+    n_expected = 2.0 - probability(1.0) - probability(3.0)
+    assert totals["expected_per_km2"]["middle"] == pytest.approx(n_expected / 0.5, abs=1e-3)
 
 
 def searched_half() -> Clearance:

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from auv_mcm.clearance.clearance_map import Clearance
+from auv_mcm.plan.clear_area import ClearArea
 from auv_mcm.plan.look_again import PlanRequest
-from auv_mcm.records import Ping, PipelineEvent, SourceEvent
+from auv_mcm.records import CoveragePatch, Ping, PipelineEvent, SourceEvent
 from auv_mcm.settings.config import Config
 from auv_mcm.shell.checkpoint import Keeping, commit_checkpoint
 from auv_mcm.shell.perception_chain import PerceptionChain
@@ -39,8 +40,12 @@ def searched(chain: PerceptionChain) -> Clearance:
 
 
 @pytest.mark.parametrize("config", [Config(), CONFIG], ids=["anywhere", "an area"])
-def test_a_checkpoint_is_as_large_after_forty_patches_as_after_ten(tmp_path: Path, config: Config) -> None:
+def test_a_checkpoint_is_as_large_after_forty_patches_as_after_ten(
+    tmp_path: Path, config: Config, monkeypatch: pytest.MonkeyPatch
+) -> None:
     keeping, n_bytes = Keeping(tmp_path, "kind"), []
+    shown: list[CoveragePatch] = []
+    monkeypatch.setattr(ClearArea, "add", lambda area, patch: shown.append(patch))
     with closing(temporary_record_file(tmp_path)) as records:
         chain = PerceptionChain(config, Searching, records, keeping)
         for number in range(1, 41):
@@ -50,6 +55,7 @@ def test_a_checkpoint_is_as_large_after_forty_patches_as_after_ten(tmp_path: Pat
                 assert chain.checkpoint(number)()
                 commit_checkpoint(tmp_path, number)
                 n_bytes.append((tmp_path / f"checkpoint-{number:012d}.bin").stat().st_size)
+        assert len(shown) == (40 if config.plan.area_deg else 0), "planning learns of each"
         assert n_bytes[-1] - n_bytes[0] < 40 * 150, "places in the file, of cells of 45 bytes"
         restarted = searched(PerceptionChain(config, Searching, records, keeping))
         for name, before in msgspec.structs.asdict(searched(chain)).items():

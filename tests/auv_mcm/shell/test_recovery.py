@@ -4,6 +4,7 @@ A session goes on where its state fits."""
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import subprocess
@@ -13,7 +14,8 @@ from pathlib import Path
 import pytest
 
 from auv_mcm.settings.config import parse_config
-from auv_mcm.shell.recovery import Ballast, session_kind
+from auv_mcm.shell.recovery import Ballast, read_announced, session_kind
+from auv_mcm.source import AnnouncedContact
 
 
 def test_ballast_is_space_on_the_disk_without_a_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -95,3 +97,17 @@ def test_a_model_that_was_fitted_again_under_its_name_ends_a_session(tmp_path: P
     path.unlink()
     assert kinds[0] == kinds[2]
     assert len({*kinds, session_kind(config)}) == 3
+
+
+def test_what_was_announced_is_read_back_whatever_a_power_cut_or_a_bad_block_left_of_a_line(tmp_path: Path) -> None:
+    def line(name: str, p_mine: float) -> str:
+        contact = {"properties": {"id": name, "class": "clutter", "p_mine": p_mine}}
+        return json.dumps({"event": 7, "contact": contact}, separators=(",", ":")) + "\n"
+
+    journal = tmp_path / "contacts.jsonl"
+    whole = line("C00001", 0.6) + line("C00001", 0.1) + line("C00003", 0.1).replace('"class":', '"class:')
+    journal.write_text(whole + line("C00004", 0.9)[:-9])
+    announced = read_announced(tmp_path)
+    assert announced.contacts == {1: AnnouncedContact(2, 0.6), 3: AnnouncedContact(1, 1.0)}
+    assert announced.is_clutter == {"C00001": True, "C00003": False}
+    assert journal.read_text() == whole

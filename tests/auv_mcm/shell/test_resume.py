@@ -20,6 +20,7 @@ import pytest
 from auv_mcm.records import SourceEvent
 from auv_mcm.settings.config import Config, ServiceConfig
 from auv_mcm.shell.checkpoint import Keeping, newest_checkpoint
+from auv_mcm.shell.event_spool import EventSpool
 from auv_mcm.shell.journal import Journal
 from auv_mcm.shell.perception_chain import MakePipeline
 from auv_mcm.shell.service import Service
@@ -141,9 +142,17 @@ def test_a_session_cut_off_twice_goes_on_from_its_checkpoints_with_all_that_was_
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("auv_mcm.shell.service.Keeping", partial(Keeping, every_s=0.0))
+    let_go: list[tuple[int, int]] = []  # the events up to which the spool forgets, and those in the checkpoint before
+
+    def forget(spool: EventSpool, number: int, forget: Callable[[EventSpool, int], None] = EventSpool.forget) -> None:
+        names = sorted(path.stem for path in (tmp_path / "latest" / "state").glob("checkpoint-*"))
+        let_go.append((number, int(names[-2][-12:]) if len(names) > 1 else 0))
+        forget(spool, number)
+
+    monkeypatch.setattr(EventSpool, "forget", forget)
 
     async def run(given: Sequence[SourceEvent], n_contacts: int) -> None:
-        running = asyncio.ensure_future(service_of(tmp_path, given, lambda line: None).run())
+        running = asyncio.ensure_future(service_of(tmp_path, given, lambda line: None, fake.Unlikely).run())
         state = tmp_path / "latest" / "state"
         before = newest_checkpoint(state)
         async with asyncio.timeout(60.0):
@@ -155,6 +164,7 @@ def test_a_session_cut_off_twice_goes_on_from_its_checkpoints_with_all_that_was_
     asyncio.run(run(events(0, 12), 4))
     asyncio.run(run(events(12, 18), 6))
     newest = max((tmp_path / "latest" / "state").glob("checkpoint-*"))
+    assert all(forgotten <= before for forgotten, before in let_go)
     newest.write_bytes(b"torn: the one before serves")
     after = serve(tmp_path, events(18, 24))
     assert ids(after.folder) == journal(after.folder) == EXPECTED

@@ -7,7 +7,6 @@ from __future__ import annotations
 import asyncio
 import json
 import math
-import time
 from collections import Counter
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -184,14 +183,6 @@ def test_a_full_disk_is_no_normal_health_for_the_vehicle(tmp_path: Path, monkeyp
     assert "normal" not in ports.vehicle.words()
 
 
-def test_a_position_that_leaps_is_none_to_plan_from(tmp_path: Path) -> None:
-    ports = Ports()
-    ports.unlike = {"position_leaps": True}
-    serve(tmp_path, ports, lambda: "fault" in ports.vehicle.words(), fake.Undecided)
-    assert ("fault", "there is no position") in ports.vehicle.reports
-    assert "plan" not in ports.vehicle.words()
-
-
 @pytest.mark.parametrize(
     ("make", "reason"),
     [(fake.Failing, "perception failed"), (fake.Dying, "was killed by SIGKILL"), (fake.Unstartable, "no model file")],
@@ -260,19 +251,6 @@ def test_a_defect_of_planning_gives_control_back_and_ends_nothing_else(tmp_path:
     assert "slip of the pen" in notice["text"]
 
 
-@pytest.mark.parametrize("vehicle", [VehicleConfig(), VehicleConfig(fence_deg=FENCED.fence_deg)])
-def test_nothing_is_requested_unless_it_is_wanted(tmp_path: Path, vehicle: VehicleConfig) -> None:
-    ports = Ports()
-    serve(
-        tmp_path,
-        ports,
-        lambda: ports.vehicle.words().count("contact") > 2 and "normal" in ports.vehicle.words(),
-        fake.Undecided,
-        vehicle,
-    )
-    assert "plan" not in ports.vehicle.words()
-
-
 @pytest.mark.parametrize("vehicle", [VehicleConfig(), FENCED])
 def test_how_far_an_area_is_cleared_is_reported_to_the_vehicle_and_left_in_the_results(
     tmp_path: Path, vehicle: VehicleConfig
@@ -305,15 +283,6 @@ def test_a_fence_with_longitude_before_latitude_is_reported_as_soon_as_the_vehic
     texts = [notice["text"] for notice in notices if notice["code"] == "bounds_far_away"]
     assert len(texts) == is_far
     assert all(" km from vehicle.fence_deg, " in text and "[latitude, longitude]" in text for text in texts)
-
-
-def test_no_request_goes_to_a_vehicle_that_is_out_of_reach(tmp_path: Path) -> None:
-    ports = Ports()
-    ports.vehicle.authority = "down"
-    until = time.monotonic() + 2.0
-    serve(tmp_path, ports, lambda: time.monotonic() > until, fake.Undecided)
-    assert "contact" in ports.vehicle.words()
-    assert "plan" not in ports.vehicle.words()
 
 
 def test_early_contacts_reach_the_vehicle_once_on_disk_are_taken_back_after_their_contact_and_request_no_leg(
