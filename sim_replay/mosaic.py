@@ -454,7 +454,10 @@ def _summed(values: NDArray[np.float32], n_rows: int, n_columns: int) -> NDArray
 def _row_distance_m(tile: Tile, centre: NDArray[np.float64], far_m: float, config: Config) -> float:
     """Compute how far apart rows lie at the far end, m: more than their spacing where the vehicle turns."""
     spacing_m = tile.row_spacing_m * (centre[1] - centre[0] if len(centre) > 1 else 1.0)
-    heading_rad = np.interp(centre, np.arange(len(tile.pose)), tile.pose.heading_rad)
+    known = np.flatnonzero(np.isfinite(tile.pose.heading_rad))
+    if not len(known):
+        return spacing_m
+    heading_rad = np.interp(centre, known, tile.pose.heading_rad[known])
     turned_m = far_m * np.abs(np.diff(heading_rad))
     return float(spacing_m + np.max(turned_m, initial=0.0))
 
@@ -471,8 +474,11 @@ def _variance_m2(
         sigma_m = np.interp(rows, np.arange(len(tile.pose)), tile.first_return_sigma_m)
         covariance = position_covariance(echoes, config.sonar, config.navigation, sigma_m)
         few.append(np.linalg.eigvalsh(covariance)[:, -1] + echoes.pose.position_sigma_m**2)
-    across = np.stack([np.interp(ground_m, ranges_m, known) for known in np.stack(few, axis=1)])
-    shares = np.stack([np.interp(centre, rows, one) for one in np.eye(len(rows))], axis=1)
+    known = np.isfinite(few).all(axis=0)
+    if not known.any():
+        return np.full((len(centre), len(ground_m)), np.nan)
+    across = np.stack([np.interp(ground_m, ranges_m, row) for row in np.stack(few, axis=1)[known]])
+    shares = np.stack([np.interp(centre, rows[known], one) for one in np.eye(len(across))], axis=1)
     return np.asarray(np.maximum(shares @ across, 0.0))
 
 

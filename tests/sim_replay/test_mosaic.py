@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+import msgspec
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -65,6 +66,14 @@ def drawn(mosaic: Mosaic) -> NDArray[np.float32]:
         assert sums is not None
         whole[: len(sums), row * BLOCK : (row + 1) * BLOCK, column * BLOCK : (column + 1) * BLOCK] = sums
     return whole
+
+
+@pytest.mark.parametrize(("n_unknown", "heights"), [(0, [41]), (1, [41]), (20, [21]), (40, [])])
+def test_rows_without_a_heading_are_left_out_and_no_others(n_unknown: int, heights: list[int]) -> None:
+    one, mosaic = tile(heading_deg=0.0), Mosaic(Config(), ROW_M)
+    heading_rad = np.where(np.arange(40) < n_unknown, math.nan, one.pose.heading_rad)
+    mosaic.add(msgspec.structs.replace(one, pose=msgspec.structs.replace(one.pose, heading_rad=heading_rad)))
+    assert [len(level.picture()[0]) for level in mosaic.levels()][:1] == heights
 
 
 def test_the_error_of_a_position_is_that_of_its_own_range() -> None:
