@@ -49,14 +49,13 @@ class EchoGeometry(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
 def tile_echoes(tile: Tile, position: NDArray[np.float64], ground_m: NDArray[np.float64] | float) -> EchoGeometry:
     """Make the echoes of a tile at n places: fractional rows (cut to the tile) and ground ranges, m."""
-    at = np.clip(position, 0.0, len(tile.pose) - 1.0)
-    first_return_m = np.interp(at, np.arange(len(tile.pose)), tile.first_return_m)
+    first_return_m = np.interp(position, np.arange(len(tile.pose)), tile.first_return_m)
     return EchoGeometry(
         side=tile.side,
-        pose=interpolate_track(tile.pose, at),
+        pose=interpolate_track(tile.pose, position),
         slant_range_m=np.hypot(ground_m, first_return_m),
         first_return_m=first_return_m,
-        sound_speed_mps=np.full(at.shape, NOMINAL_SOUND_SPEED_MPS),
+        sound_speed_mps=np.full(position.shape, NOMINAL_SOUND_SPEED_MPS),
     )
 
 
@@ -88,28 +87,24 @@ def aspect_deg(echoes: EchoGeometry, sonar: SonarConfig, squint_rad: float = 0.0
 
 
 def position_covariance(
-    echoes: EchoGeometry, sonar: SonarConfig, navigation: NavigationConfig, altitude_sigma_m: NDArray[np.float64]
+    echoes: EchoGeometry, sonar: SonarConfig, navigation: NavigationConfig, first_return_sigma_m: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Compute the east/north covariance of each echo's position, (n, 2, 2), m^2.
 
-    First-order propagation of independent errors of altitude (1-sigma `altitude_sigma_m`, (n,)), heading, pitch and
-    slant range (range error = range times relative sound speed error), added to the fix's own. Heading errs as its
-    sensor does, and by what a course in its place adds. Each derivative is the
-    secant over plus and minus one sigma: that stays finite towards nadir, where the tangent of sqrt(r^2 - r0^2) does
-    not.
+    First-order propagation of independent errors of the first return (1-sigma, (n,)), heading, pitch and slant range
+    (range error = range times relative sound speed error), added to the fix's own. Heading errs as its sensor does, and
+    by what a course in its place adds. Each derivative is the secant over plus and minus one sigma: that stays finite
+    towards nadir, where the tangent of sqrt(r^2 - r0^2) does not.
     """
     pose = echoes.pose
     heading_sigma = np.hypot(np.deg2rad(navigation.heading_sigma_deg), pose.heading_sigma_rad)
     pitch_sigma = np.deg2rad(navigation.pitch_sigma_deg)
-    attitude = _attitude(pose.heading_rad, pose.pitch_rad, pose.roll_rad)
-    axis_down = (attitude @ _forward(sonar.heading_offset_deg, sonar.pitch_offset_deg))[:, 2]
-    first_return_sigma = altitude_sigma_m / np.sqrt(1.0 - axis_down * axis_down)
     range_sigma = echoes.slant_range_m * navigation.sound_speed_sigma_mps / echoes.sound_speed_mps
 
     def moved(sign: float) -> list[EchoGeometry]:
         replace = msgspec.structs.replace
         return [
-            replace(echoes, first_return_m=np.maximum(echoes.first_return_m + sign * first_return_sigma, 0.0)),
+            replace(echoes, first_return_m=np.maximum(echoes.first_return_m + sign * first_return_sigma_m, 0.0)),
             replace(echoes, pose=replace(pose, heading_rad=pose.heading_rad + sign * heading_sigma)),
             replace(echoes, pose=replace(pose, pitch_rad=pose.pitch_rad + sign * pitch_sigma)),
             replace(echoes, slant_range_m=echoes.slant_range_m + sign * range_sigma),

@@ -146,37 +146,6 @@ def test_a_sub_aperture_that_looks_ahead_hears_echoes_from_ahead_of_abeam(side: 
     assert aspect_deg(echoes, SonarConfig(), math.radians(15.0))[0] == pytest.approx(expected_deg)
 
 
-@pytest.mark.parametrize("roll_deg", [-20.0, -3.0, 10.0, 20.0])
-def test_roll_moves_an_echo_only_through_the_lever_arm(roll_deg: float) -> None:
-    level = one_echo("port", 30.0, 6.0, heading_rad=1.0, pitch_rad=0.1)
-    rolled = one_echo("port", 30.0, 6.0, heading_rad=1.0, pitch_rad=0.1, roll_rad=math.radians(roll_deg))
-    at_reference, below = SonarConfig(), SonarConfig(lever_arm_m=(0.0, 0.0, 1.0))
-    np.testing.assert_allclose(
-        enu_from_vehicle(rolled, at_reference), enu_from_vehicle(level, at_reference), rtol=0, atol=1e-8
-    )
-    # Starboard down swings what hangs below the reference to port.
-    moved = enu_from_vehicle(rolled, below)[0] - enu_from_vehicle(level, below)[0]
-    to_port = np.array([-math.cos(1.0), math.sin(1.0)])
-    assert moved[:2] @ to_port == pytest.approx(math.sin(math.radians(roll_deg)), rel=1e-6)
-
-
-@pytest.mark.parametrize("slant_range", [10.0, 30.0, 75.0])
-@pytest.mark.parametrize("pitch_deg", [-10.0, -2.0, 5.0, 10.0])
-def test_pitch_shifts_every_range_forward_alike(slant_range: float, pitch_deg: float) -> None:
-    altitude, pitch = 8.0, math.radians(pitch_deg)
-    echoes = one_echo("starboard", slant_range, altitude / math.cos(pitch), pitch_rad=pitch)
-    east, north, up = enu_from_vehicle(echoes, SonarConfig())[0]
-    assert north == pytest.approx(altitude * math.tan(pitch), abs=1e-7)
-    assert east == pytest.approx(math.sqrt(slant_range**2 - (altitude / math.cos(pitch)) ** 2), abs=1e-7)
-    assert up == pytest.approx(-altitude, abs=1e-7)
-
-
-def test_the_vehicle_travels_while_the_sound_does() -> None:
-    still = enu_from_vehicle(one_echo("port", 75.0, 10.0, heading_rad=0.5), SonarConfig())[0]
-    moving = enu_from_vehicle(one_echo("port", 75.0, 10.0, heading_rad=0.5, speed_mps=2.0), SonarConfig())[0]
-    np.testing.assert_allclose(moving - still, [0.1 * math.sin(0.5), 0.1 * math.cos(0.5), 0.0], rtol=0, atol=1e-6)
-
-
 @settings(max_examples=60, deadline=None)
 @given(
     place=st.sampled_from(
@@ -265,24 +234,24 @@ LEVEL_Y = math.sqrt(LEVEL_R**2 - LEVEL_H**2)
 
 
 @pytest.mark.parametrize(
-    ("error", "altitude_sigma_m", "east_m", "north_m"),
+    ("error", "first_return_sigma_m", "pitch_rad", "east_m", "north_m"),
     [
-        ({"heading_sigma_deg": 1.0}, 0.0, 0.0, LEVEL_Y * math.radians(1.0)),
-        ({"pitch_sigma_deg": 1.0}, 0.0, 0.0, LEVEL_H * math.radians(1.0)),
-        ({}, 0.2, 0.2 * LEVEL_H / LEVEL_Y, 0.0),
-        ({"sound_speed_sigma_mps": 7.5}, 0.0, LEVEL_R / LEVEL_Y * LEVEL_R * 0.005, 0.0),
+        ({"heading_sigma_deg": 1.0}, 0.0, 0.0, 0.0, LEVEL_Y * math.radians(1.0)),
+        ({"pitch_sigma_deg": 1.0}, 0.0, 0.0, 0.0, LEVEL_H * math.radians(1.0)),
+        ({}, 0.2, 0.0, 0.2 * LEVEL_H / LEVEL_Y, 0.0),
+        ({}, 0.2, 0.3, 0.2 * LEVEL_H / LEVEL_Y, 0.2 * math.sin(0.3)),
+        ({"sound_speed_sigma_mps": 7.5}, 0.0, 0.0, LEVEL_R / LEVEL_Y * LEVEL_R * 0.005, 0.0),
     ],
-    ids=["heading", "pitch", "altitude", "sound speed"],
+    ids=["heading", "pitch", "first return", "first return of a pitched array", "sound speed"],
 )
 def test_each_error_moves_the_echo_its_own_way(
-    error: dict[str, float], altitude_sigma_m: float, east_m: float, north_m: float
+    error: dict[str, float], first_return_sigma_m: float, pitch_rad: float, east_m: float, north_m: float
 ) -> None:
-    """Heading north, level: heading and pitch errors act along track, altitude and range errors across (dy = -h/y dh,
-    r/y dr)."""
+    """Heading north, level: heading and pitch errors act along track, those of first return and range across (dy =
+    -h/y dh, r/y dr)."""
     config = msgspec.structs.replace(NO_ERROR, **error)
-    covariance = position_covariance(
-        one_echo("starboard", LEVEL_R, LEVEL_H), SonarConfig(), config, np.array([altitude_sigma_m])
-    )[0]
+    echo = one_echo("starboard", LEVEL_R, LEVEL_H, pitch_rad=pitch_rad)
+    covariance = position_covariance(echo, SonarConfig(), config, np.array([first_return_sigma_m]))[0]
     np.testing.assert_allclose(np.sqrt(np.diag(covariance)), [east_m, north_m], rtol=1e-3, atol=1e-9)
 
 
