@@ -246,6 +246,13 @@ def test_a_clock_that_is_set_ends_the_segment_and_goes_on(step_s: float, counter
     )
 
 
+def test_pings_that_look_elsewhere_begin_a_segment_even_within_a_second() -> None:
+    again = [structs.replace(ping(number), number=8 + number, squint_rad=0.05) for number in range(8)]
+    fed = Fed().feed([*mission(8), *again]).flush()
+    assert fed.segments == [list(range(8)), list(range(8, 16))]
+    assert fed.counters["ping.sub_aperture"] == 1
+
+
 @pytest.mark.parametrize("sides", [(), ("starboard", "port")], ids=["one ping", "a ping of each side"])
 @pytest.mark.parametrize("leap_s", [-START_S, -30.0, 30.0, 86400.0])
 def test_a_ping_of_another_time_costs_that_ping_alone(leap_s: float, sides: tuple[str, ...]) -> None:
@@ -378,10 +385,19 @@ def test_no_segment_ends_while_pings_come_though_the_clock_of_navigation_leaps(l
 
 
 def test_distance_is_speed_integrated_over_time_across_blocks() -> None:
-    fed = Fed().feed(mission(200)).flush()
+    faster = (
+        structs.replace(event, speed_mps=2.0 + 0.01 * (event.time_s - START_S))
+        if isinstance(event, NavSample)
+        else event
+        for event in mission(200)
+    )
+    fed = Fed().feed(faster).flush()
     distance = np.concatenate(along(fed))
-    np.testing.assert_allclose(np.diff(distance), 2.0 * PING_S, rtol=1e-5)
+    between_s = PING_S * (np.arange(199) + 0.5)
+    np.testing.assert_allclose(np.diff(distance), (2.0 + 0.01 * between_s) * PING_S, rtol=1e-5)
     assert distance[0] == Config().waterfall.max_ping_gap_m
+    fed.intake.start_segment(700.0)
+    assert fed.intake.place_along_track(fed.blocks[0]).along_m[0] == 700.0 + Config().waterfall.max_ping_gap_m
 
 
 @given(speeds=st.lists(st.floats(-30.0, 30.0) | st.just(math.nan), min_size=2, max_size=60), seed=st.integers(0, 99))

@@ -285,6 +285,10 @@ def test_squinted_rows_are_slices_again() -> None:
     hypotheses[:, 5] = 0.3 + squint, 0.3
     right, as_if_broadside = shape_costs("cylinder", hypotheses, image).cost
     assert right < as_if_broadside
+    parts = [region.intensity > 2.0, region.intensity < 0.5]
+    labels = np.select(parts, [HIGHLIGHT, SHADOW], BACKGROUND).astype(np.uint8)
+    drawn = labels_cost(msgspec.structs.replace(region, squint_rad=0.0), labels, 1.0)
+    assert labels_cost(region, labels, 1.0) == pytest.approx(drawn, rel=0.05)
     hypotheses[1, :2], broadside = (3.66, 20.0), closed_form_region(shape, 20.0, levels=(2.9, 0.1, 1.0))
     assert right < 0.85 * shape_costs("cylinder", hypotheses[1:], sums_of(broadside)).cost[0]
 

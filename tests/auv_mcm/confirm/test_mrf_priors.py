@@ -12,12 +12,14 @@ from auv_mcm.confirm.mrf_priors import pair_prior, without_odd_clusters
 from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region
 from auv_mcm.kernels import pair_costs as pairs
 
+ROW_OVER_COLUMN = 1.5  # of their spacings
+
 
 def region_of(shape: tuple[int, int], spacing_m: float, squint_rad: float = 0.0, altitude_m: float = 6.0) -> Region:
     return Region(
         intensity=np.ones(shape),
         valid=np.ones(shape, dtype=np.bool_),
-        row_spacing_m=spacing_m,
+        row_spacing_m=ROW_OVER_COLUMN * spacing_m,
         column_spacing_m=spacing_m,
         first_ground_range_m=8.0,
         altitude_m=altitude_m,
@@ -35,13 +37,14 @@ def costs_by_loops(
     0.02 m2 of highlight before it, no further than a 1.2 m object's shadow and a metre reach, take off; one row to
     either side of the line.
     """
-    n_rows, n_columns = labels.shape
+    (n_rows, n_columns), cell_m2 = labels.shape, ROW_OVER_COLUMN * spacing_m**2
     cost = np.zeros((3, n_rows, n_columns))
 
     def seen(row: int, column: int, away: int, label: int) -> int:
         if not 0 <= column + away < n_columns:
             return 0
-        moved = round(math.tan(squint_rad) * (column + away)) - round(math.tan(squint_rad) * column)
+        slope = math.tan(squint_rad) / ROW_OVER_COLUMN
+        moved = round(slope * (column + away)) - round(slope * column)
         return sum(
             0 <= row + moved + side < n_rows and labels[row + moved + side, column + away] == label
             for side in (-1, 0, 1)
@@ -52,8 +55,8 @@ def costs_by_loops(
         reach = int((1.2 * range_m / max(altitude_m - 1.2, 0.12) + 1.0) / spacing_m)
         n_shadow = sum(seen(row, column, away, SHADOW) for away in range(1, round(1.5 / spacing_m) + 1))
         n_highlight = sum(seen(row, column, -away, HIGHLIGHT) for away in range(1, min(reach, n_columns) + 1))
-        cost[HIGHLIGHT, row, column] = 2.0 * (1.0 - min(1.0, n_shadow * spacing_m**2 / 0.09))
-        cost[SHADOW, row, column] = 0.5 * (1.0 - min(1.0, n_highlight * spacing_m**2 / 0.02))
+        cost[HIGHLIGHT, row, column] = 2.0 * (1.0 - min(1.0, n_shadow * cell_m2 / 0.09))
+        cost[SHADOW, row, column] = 0.5 * (1.0 - min(1.0, n_highlight * cell_m2 / 0.02))
     return cost
 
 

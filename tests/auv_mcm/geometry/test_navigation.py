@@ -124,7 +124,7 @@ def test_heading_and_speed_carry_the_position_while_no_fix_comes_and_no_longer()
     seconds = np.arange(0.0, 49.9, 0.05)
     track, reference = at(filled(lost), *seconds), at(filled(whole), *seconds)
     error_m = np.linalg.norm(east_north(track) - east_north(reference), axis=1)
-    assert error_m[seconds < 25.0].max() < 0.1
+    assert error_m[seconds < 25.0].max() < 1e-3
     assert seconds[track.stale].min() == pytest.approx(25.0, abs=0.1)
     assert seconds[track.stale].max() < 35.0
     assert (track.position_sigma_m[~track.stale] < 2.0).all()

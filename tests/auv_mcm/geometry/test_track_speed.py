@@ -87,7 +87,9 @@ def test_a_sound_speed_is_used_as_it_is(factor: float, fix_s: float, scatter_m: 
     assert codes(buffer) == []
 
 
-@pytest.mark.parametrize(("speed_mps", "is_off"), [(SPEED_MPS, False), (0.0, True), (0.5144 * SPEED_MPS, True)])
+@pytest.mark.parametrize(
+    ("speed_mps", "is_off"), [(SPEED_MPS, False), (-SPEED_MPS, False), (0.0, True), (0.5144 * SPEED_MPS, True)]
+)
 def test_a_speed_that_comes_with_sparse_fixes_is_judged_by_the_way_between_them(speed_mps: float, is_off: bool) -> None:
     buffer = NavBuffer(NavigationConfig())
     flown(buffer, *samples(speed_mps, period_s=5.0, fix_s=5.0))

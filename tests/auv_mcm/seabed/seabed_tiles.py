@@ -34,14 +34,14 @@ def tile_of(
     *,
     side: Side = "starboard",
     core: tuple[int, int] | None = None,
-    heading_deg: float = 0.0,
+    heading_deg: Array | float = 0.0,
 ) -> Tile:
     row = np.arange(len(intensity), dtype=np.float64)
     pose = pose_of(
         len(row),
         time_s=row * 0.07,
         latitude_deg=43.0 + row * ROW_M / 111e3,
-        heading_rad=math.radians(heading_deg),
+        heading_rad=np.radians(heading_deg),
         altitude_m=5.0,
     )
     first, stop = core or (0, len(row))

@@ -96,7 +96,8 @@ def test_ripples_are_described_by_the_compass(
     tile = tile_of(
         rippled(rng, SHAPE, 0.9, math.radians(30.0)),
         side="port" if side == "port" else "starboard",
-        heading_deg=heading_deg,
+        core=(100, 400),
+        heading_deg=np.where(np.arange(400) < 100, heading_deg + 90.0, heading_deg),
     )
     cells = seabed_cells(tile, model)
     off = np.angle(np.exp(2j * (cells.ripple_rad[1:-2, 1:-1] - math.radians(expected_deg)))) / 2.0

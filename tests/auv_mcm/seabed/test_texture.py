@@ -175,14 +175,18 @@ def test_where_the_tile_is_cut_makes_no_difference() -> None:
     rng = np.random.Generator(np.random.PCG64(3))
     intensity = speckled(rng, (400, 300))
     cell_rows = CELL_BLOCKS * round(BLOCK_M / ROW_M)
-    whole = measure_texture(tile_of(intensity, core=(64, 64 + 12 * cell_rows)))
+    level = rng.normal(size=(400, 38)).astype(np.float32)
+    first, stop = 64, 64 + 12 * cell_rows
+    whole = measure_texture(msgspec.structs.replace(tile_of(intensity, core=(first, stop)), level=level))
     # The spectrum is that of two by two cells, and tiles are cut between them.
-    later = measure_texture(tile_of(intensity, core=(64 + 4 * cell_rows, 64 + 12 * cell_rows)))
+    first += 4 * cell_rows
+    later = measure_texture(msgspec.structs.replace(tile_of(intensity, core=(first, stop)), level=level))
     assert np.array_equal(later.features, whole.features[4:], equal_nan=True)
 
 
 def test_grazing_goes_by_range_over_altitude_and_without_one_nothing_is_reported() -> None:
     tile = tile_of(speckled(np.random.Generator(np.random.PCG64(7)), (200, 300)))
+    tile = msgspec.structs.replace(tile, column_spacing_m=0.07)
     texture = measure_texture(tile)
     middle_m = (np.arange(len(texture.cot_grazing)) + 0.5) * texture.cell_m[1]
     assert texture.cot_grazing == pytest.approx(middle_m / float(np.median(tile.first_return_m)))

@@ -162,6 +162,10 @@ def test_where_all_echoes_begin_beyond_the_altitude_it_is_taken_as_stated() -> N
     assert found.seen.all()
     assert np.array_equal(found.first_return_m, FIRST_RETURN_M)
     assert np.allclose(found.sigma_m, 0.02 * FIRST_RETURN_M)
+    assert tracker.add([beyond[0], traces(two_sides(10.0)[1])], 0.9 * FIRST_RETURN_M, RANGE_M) is None
+    found = tracker.flush()
+    assert found is not None
+    assert rms_bins(found) <= 1.0, "one side shows the bottom"
 
 
 def test_altitudes_that_are_no_numbers_are_ignored() -> None:
@@ -255,6 +259,15 @@ def test_the_range_setting_may_change_on_the_way() -> None:
         )
     found = [track.first_return_m for track in [*done, tracker.flush()] if track is not None]
     assert np.abs(np.concatenate(found) - FIRST_RETURN_M).max() <= 3 * BIN_M
+
+
+def test_ranges_that_come_later_draw_no_path_where_nothing_shows() -> None:
+    tracker = BottomTracker(BLANK_M)
+    tracker.add([traces(side[:32, :400]) for side in two_sides(10.0)], UNKNOWN[:32], 10.0)
+    tracker.add([traces(np.ones((32, 1600), dtype=np.float32))], UNKNOWN[:32], RANGE_M)
+    found = tracker.flush()
+    assert found is not None
+    assert np.abs(found.first_return_m - FIRST_RETURN_M[31]).max() <= 3 * BIN_M
 
 
 def test_a_new_segment_starts_afresh() -> None:

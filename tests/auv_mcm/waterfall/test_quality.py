@@ -75,7 +75,7 @@ def test_a_configured_full_scale_counts_from_98_percent(dtype: type) -> None:
 
 
 def test_pings_clipped_beyond_the_ring_down_are_counted() -> None:
-    ring_down = rayleigh(3).astype(np.uint16)
+    ring_down = rayleigh(3, n_samples=600).astype(np.uint16)
     ring_down[:40] = 32767  # the first two metres
     clipped = rayleigh(4).astype(np.uint16)
     clipped[100:150] = 32767
@@ -120,8 +120,9 @@ def test_a_constant_channel_is_dead_whatever_the_transfer() -> None:
 def test_a_channel_that_repeats_itself_is_stuck_until_it_moves() -> None:
     first, second = rayleigh(9), rayleigh(10)
     first[20] = np.nan
-    checked, counters = check_all([first, first.copy(), first.copy(), second, first])
+    checked, counters = check_all([first, first.copy(), first.copy(), second, first], full_scale=4000.0)
     assert [bool(result.valid.any()) for result in checked] == [True, False, False, True, True]
+    assert [bool(result.saturated.any()) for result in checked] == [True, False, False, True, True]
     assert counters["quality.port_stuck"] == 2
 
 
@@ -218,7 +219,12 @@ def test_zeros_are_no_echo_where_no_trace_ever_held_one(dtype: type) -> None:
 
     filled = [np.append(rayleigh(seed, 60.0).clip(1, 200), np.zeros(100)) for seed in range(3)]
     dark, elsewhere = (np.where(np.arange(900) < 600, samples, 0.0) for samples in filled[:2])
-    blocks = [(list(map(trace, filled)), 800), ([trace(dark)], 800), ([trace(elsewhere, 2.0 * SPACING_M)], 600)]
+    blocks = [
+        ([trace(dark)], 600),
+        (list(map(trace, filled)), 800),
+        ([trace(dark)], 800),
+        ([trace(elsewhere, 2.0 * SPACING_M)], 600),
+    ]
     checker = TraceChecker("port", AMPLITUDE, None, Counter())
     for block, n_measured in blocks:
         assert checker.check_all(block).valid.sum(axis=1).tolist() == [n_measured] * len(block)
@@ -239,10 +245,13 @@ def test_traces_add_up_to_what_each_of_them_holds(
     random = np.random.default_rng(seed)
     counters: tuple[Counter[str], Counter[str]] = (Counter(), Counter())
     whole, single = (TraceChecker("port", transfer, full_scale, counted) for counted in counters)
+    last = np.zeros(n_samples)
     for _ in range(3):
         pings = [
             rayleigh(int(random.integers(99)), 60.0, n_samples).clip(0, 127) for _ in range(int(random.integers(1, 6)))
         ]
+        pings[0][:] = last if random.integers(2) else pings[0]
+        last = pings[-1]
         for ping in pings:
             match random.integers(8):
                 case 0:

@@ -127,6 +127,16 @@ def test_a_tile_comes_as_soon_as_its_overlap_is_there() -> None:
         )
 
 
+def test_the_newest_rows_are_tiles_with_overlap_at_both_ends() -> None:
+    cutter, rows = TileCutter(config(256), OVERLAP_M), swath(90, 100)
+    for start in (0, 45):
+        cutter.add(100 + start, slice_swath(rows, slice(start, start + 45)))
+    for tile in cutter.newest(150, 32, 20, 8):
+        assert core_rows(tile) == range(150, 182)
+        assert tile.ping_number.tolist() == list(range(1130, 1190))
+    assert cutter.newest(150, 33, 20, 8) == []
+
+
 def test_the_local_mean_of_the_sea_floor_is_one_and_saturated_pixels_have_no_say() -> None:
     plain = swath(200, 0)
     image = plain.sides["port"]

@@ -66,10 +66,6 @@ def assert_same_tiles(one: list[Tile], other: list[Tile]) -> None:
         np.testing.assert_array_equal(a.first_return_m, b.first_return_m)
 
 
-def test_the_same_pings_give_the_same_bytes(samples: NDArray[np.float64], plain: Run) -> None:
-    assert_same_tiles(run(samples).tiles, plain.tiles)
-
-
 def test_mirrored_sides_give_mirrored_tiles(samples: NDArray[np.float64], plain: Run) -> None:
     mirrored = run(samples[::-1])
     for side, other in (SIDES, SIDES[::-1]):
@@ -139,6 +135,13 @@ def test_clipped_echoes_are_saturated_and_valid(samples: NDArray[np.float64]) ->
     assert not (masks(found, "starboard") & SATURATED).any()
 
 
+def test_a_strip_that_is_clipped_in_every_ping_teaches_no_angle_response(samples: NDArray[np.float64]) -> None:
+    counts = np.minimum(samples * 20000.0, 32766.0).astype(np.uint16)
+    counts[0, :, (GROUND_M > 20.0) & (GROUND_M < 21.0)] = 32767
+    image, _ = run(counts).image()
+    assert image[20:-20, round(20.2 / COLUMN_SPACING_M) : round(20.8 / COLUMN_SPACING_M)].mean() > 100.0
+
+
 def test_a_clipped_pulse_of_another_sonar_is_no_evidence_of_a_highlight(samples: NDArray[np.float64]) -> None:
     counts = np.minimum(samples * 20000.0, 32766.0).astype(np.uint16)
     random = np.random.default_rng(4)
@@ -195,10 +198,15 @@ def test_a_dead_channel_is_counted_and_its_side_stays_without_data(samples: NDAr
     np.testing.assert_array_equal(masks(found, "port"), masks(plain, "port"))
 
 
-def test_one_channel_alone_makes_tiles_of_one_side(samples: NDArray[np.float64]) -> None:
-    found = run_blocks([block_of(samples[0, i : i + 32], None, i) for i in range(0, N_PINGS, 32)])
-    assert {tile.side for tile in found.tiles} == {"port"}
-    assert (masks(found)[10:-10, 50:700] & VALID).all()
+def test_a_side_that_ends_before_the_bottom_hides_it_from_neither_and_tiles_have_the_squint_of_their_pings(
+    samples: NDArray[np.float64],
+) -> None:
+    short = round(0.5 * ALTITUDE_M / SPACING_M)
+    blocks = [block_of(samples[0, i : i + 32], samples[1, i : i + 32, :short], i) for i in range(0, N_PINGS, 32)]
+    squinted = [b._replace(pings=[structs.replace(ping, squint_rad=0.05) for ping in b.pings]) for b in blocks]
+    for tile in run_blocks(squinted).tiles:
+        assert np.abs(tile.first_return_m - ALTITUDE_M).max() < 0.1
+        assert tile.squint_rad == 0.05
 
 
 def test_bad_pings_leave_gaps_or_are_bridged_and_nothing_else_changes(samples: NDArray[np.float64], plain: Run) -> None:
