@@ -54,7 +54,7 @@ def write_mcap(path: Path, tiles: Iterable[Tile], layers: Mapping[str, Sequence[
     from mcap_protobuf.writer import Writer  # bench extra
 
     views = [*_views(layers.get("contacts", ())), *_missed_views(layers.get(MISSED, ()))]
-    next_fix_s = -math.inf
+    last_fix_s = -math.inf
     side: Side | None = None
     with replaced_file(path) as temporary, open(temporary, "wb") as file, Writer(file) as writer:
         for tile in tiles:
@@ -65,7 +65,7 @@ def write_mcap(path: Path, tiles: Iterable[Tile], layers: Mapping[str, Sequence[
                 side = tile.side
                 _write_maps(writer, layers, float(tile.pose.time_s[timed[0]]))
             if tile.side == side:  # the other one has the same track
-                next_fix_s = _write_fixes(writer, tile, timed.tolist(), next_fix_s)
+                last_fix_s = _write_fixes(writer, tile, timed.tolist(), last_fix_s)
             _write_picture(writer, tile, float(tile.pose.time_s[timed[-1]]), views)
 
 
@@ -79,17 +79,18 @@ def _write_maps(writer: Any, layers: Mapping[str, Sequence[Feature]], time_s: fl
             _write(writer, f"/map/{name}", GeoJSON(geojson=text), time_s)
 
 
-def _write_fixes(writer: Any, tile: Tile, rows: Sequence[int], next_s: float) -> float:
-    """Write a position a second; return when the next one is due."""
+def _write_fixes(writer: Any, tile: Tile, rows: Sequence[int], last_s: float) -> float:
+    """Write a position a second, also behind a clock that was set back; return when the last one was."""
     from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
 
     pose = tile.pose
     for row in rows:
         time_s = float(pose.time_s[row])
         latitude_deg, longitude_deg = float(pose.latitude_deg[row]), float(pose.longitude_deg[row])
-        if time_s < next_s or pose.stale[row] or not (math.isfinite(latitude_deg) and math.isfinite(longitude_deg)):
+        is_known = math.isfinite(latitude_deg) and math.isfinite(longitude_deg) and not pose.stale[row]
+        if abs(time_s - last_s) < _FIX_S or not is_known:
             continue
-        next_s = time_s + _FIX_S
+        last_s = time_s
         fix = LocationFix(
             timestamp=_stamp(time_s),
             frame_id=_FRAME,
@@ -99,7 +100,7 @@ def _write_fixes(writer: Any, tile: Tile, rows: Sequence[int], next_s: float) ->
             position_covariance_type=LocationFix.UNKNOWN,
         )
         _write(writer, "/vehicle/fix", fix, time_s)
-    return next_s
+    return last_s
 
 
 def _write_picture(writer: Any, tile: Tile, time_s: float, views: Sequence[_View]) -> None:

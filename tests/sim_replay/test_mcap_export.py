@@ -14,7 +14,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from auv_mcm.records import Tile
+from auv_mcm.records import SIDES, Side, Tile
 from sim_replay.mcap_export import write_mcap
 from tests.sim_replay.test_mosaic import ROW_M, tile
 
@@ -50,7 +50,9 @@ def decoded(path: Path) -> list[tuple[str, str, Any, int]]:
 def test_every_message_is_decoded_by_the_schema_in_the_file(tmp_path: Path) -> None:
     far: dict[str, Any] = {"type": "Feature", "geometry": None, "properties": {}}
     layers = {"contacts": [contact(10.5, 6.0)], "coverage": [far]}
-    write_mcap(tmp_path / "m.mcap", [timed(0), timed(1)], layers)
+    first, second = timed(0), timed(1)
+    first.pose.depth_m[:], second.pose.depth_m[:] = 7.0, math.nan
+    write_mcap(tmp_path / "m.mcap", [first, second], layers)
     found = decoded(tmp_path / "m.mcap")
     schemas = {topic: name for topic, name, _, _ in found}
     assert schemas == {
@@ -61,30 +63,32 @@ def test_every_message_is_decoded_by_the_schema_in_the_file(tmp_path: Path) -> N
     }
     assert min(time_ns for *_, time_ns in found) >= START_S * 1e9
     fixes = [message for topic, _, message, _ in found if topic == "/vehicle/fix"]
-    assert fixes[0].latitude == pytest.approx(54.0, abs=1e-4)
+    assert (fixes[0].latitude, fixes[0].altitude) == (pytest.approx(54.0, abs=1e-4), -7.0)
+    assert math.isnan(fixes[-1].altitude), "not the 0 of a depth that is unknown"
 
 
-def test_a_depth_that_is_unknown_is_no_altitude_of_zero(tmp_path: Path) -> None:
-    one = timed(0)
-    one.pose.depth_m[:] = math.nan
-    write_mcap(tmp_path / "m.mcap", [one], {})
-    altitudes_m = [message.altitude for topic, _, message, _ in decoded(tmp_path / "m.mcap") if topic == "/vehicle/fix"]
-    assert altitudes_m
-    assert np.isnan(altitudes_m).all()
+def test_the_track_goes_on_after_a_clock_was_set_back(tmp_path: Path) -> None:
+    back, stale = timed(1), timed(2)
+    back.pose.time_s[:] -= 3600.0
+    stale.pose.stale[:] = True
+    write_mcap(tmp_path / "m.mcap", [timed(0), back, stale], {})
+    assert [topic for topic, *_ in decoded(tmp_path / "m.mcap")].count("/vehicle/fix") == 4
 
 
-def test_a_contact_is_ringed_where_it_lies_in_the_picture(tmp_path: Path) -> None:
-    bright = timed(0)
+@pytest.mark.parametrize("side", SIDES)
+def test_a_contact_is_ringed_where_it_lies_in_the_picture(side: Side, tmp_path: Path) -> None:
+    bright, here = msgspec.structs.replace(timed(0), side=side), contact(10.0, 50.5 * ROW_M)
+    here["properties"]["views"][0]["side"] = side
     bright.intensity[:] = 0.05
     bright.intensity[9:12, 49:52] = 30.0
-    write_mcap(tmp_path / "m.mcap", [bright], {"contacts": [contact(10.0, 50.5 * ROW_M), contact(400.0, 6.0)]})
+    write_mcap(tmp_path / "m.mcap", [bright], {"contacts": [here, contact(400.0, 6.0)]})
     messages = {topic: message for topic, _, message, _ in decoded(tmp_path / "m.mcap")}
-    picture = cv2.imdecode(np.frombuffer(messages["/sonar/starboard"].data, np.uint8), cv2.IMREAD_GRAYSCALE)
+    picture = cv2.imdecode(np.frombuffer(messages[f"/sonar/{side}"].data, np.uint8), cv2.IMREAD_GRAYSCALE)
     assert picture is not None
     down, right = np.argwhere(picture > 0.8 * picture.max()).mean(axis=0)
-    (ring,) = messages["/sonar/starboard/contacts"].circles  # the other contact is elsewhere
-    assert math.hypot(ring.position.x - right - 0.5, ring.position.y - down - 0.5) < 1.0
-    assert messages["/sonar/starboard/contacts"].texts[0].text == "C00001 0.9000"
+    (ring,) = messages[f"/sonar/{side}/contacts"].circles  # the other contact is elsewhere
+    assert math.hypot(ring.position.x - right - 0.5, ring.position.y - down - 0.5) < 0.4
+    assert messages[f"/sonar/{side}/contacts"].texts[0].text == "C00001 0.9000"
 
 
 @pytest.mark.parametrize(("row", "n_rings"), [(35.5, [1, 0]), (36.0, [0, 1])])
