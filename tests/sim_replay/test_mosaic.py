@@ -9,13 +9,14 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+import cv2
 import msgspec
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from auv_mcm.cli import main
-from auv_mcm.geometry.geodesy import LocalFrame
+from auv_mcm.geometry.geodesy import SEMI_MAJOR_M, LocalFrame
 from auv_mcm.geometry.georeference import (
     NOMINAL_SOUND_SPEED_MPS,
     EchoGeometry,
@@ -23,7 +24,7 @@ from auv_mcm.geometry.georeference import (
     position_covariance,
     tile_echoes,
 )
-from auv_mcm.records import LOW_RESOLUTION, VALID, PoseTrack, Tile
+from auv_mcm.records import LOW_RESOLUTION, TURN, VALID, PoseTrack, Tile
 from auv_mcm.settings.config import Config
 from sim_replay.mosaic import BLOCK, SIGMA_STEP_M, Mosaic
 from sim_replay.simulate import simulate
@@ -57,10 +58,10 @@ def tile(index: int = 0, n_rows: int = 40, n_columns: int = 90, heading_deg: flo
     return plain_tile(index, "starboard", n_rows, n_columns, **(values | changes))
 
 
-def drawn(mosaic: Mosaic) -> NDArray[np.float32]:
-    """All sums in one array, (3, height, width)."""
-    level = next(mosaic.levels())
-    whole = np.zeros((3, level.height, level.width), dtype=np.float32)
+def drawn(mosaic: Mosaic, number: int = 0) -> NDArray[np.float32]:
+    """All sums of a level in one array, (3, height, width)."""
+    level = list(mosaic.levels())[number]
+    whole = np.zeros((3, -(-level.height // BLOCK) * BLOCK, -(-level.width // BLOCK) * BLOCK), dtype=np.float32)
     for column, row in level.blocks:
         sums = level.blocks.get((column, row))
         assert sums is not None
@@ -77,7 +78,8 @@ def test_rows_without_a_heading_are_left_out_and_no_others(n_unknown: int, heigh
 
 
 def test_the_error_of_a_position_is_that_of_its_own_range() -> None:
-    one = tile(n_columns=600, heading_deg=0.0)  # the bottom is 5 m below: the swath reaches 72 m
+    one = tile(n_columns=600, heading_deg=0.0)  # the swath reaches 72 m
+    one.pose.position_sigma_m[:] = 1.5
     mosaic = Mosaic(Config(), ROW_M)
     mosaic.add(one)
     picture, _ = next(mosaic.levels()).picture()
@@ -90,7 +92,7 @@ def test_the_error_of_a_position_is_that_of_its_own_range() -> None:
 
 
 def test_each_pixel_of_a_tile_goes_where_the_geometry_puts_it() -> None:
-    one = tile()
+    one = tile(first_return_m=np.full(40, 6.0))
     mosaic = Mosaic(Config(), 0.18)
     mosaic.add(one)
     level = next(mosaic.levels())
@@ -124,8 +126,11 @@ def test_blending_is_the_mean_weighted_by_quality() -> None:
         tile(intensity=np.full((40, 90), 0.5, np.float32)),
         tile(intensity=np.full((40, 90), 2.0, np.float32)),
     )
-    coarse = tile(mask=np.full((40, 90), VALID | LOW_RESOLUTION, np.uint8), intensity=bright.intensity)
-    for second, least, most in ((bright, 1.24, 1.26), (coarse, 0.56, 0.58)):
+    coarse, turning = (
+        tile(mask=np.full((40, 90), VALID | flag, np.uint8), intensity=bright.intensity)
+        for flag in (LOW_RESOLUTION, TURN)
+    )
+    for second, least, most in ((bright, 1.24, 1.26), (coarse, 0.56, 0.58), (turning, 0.51, 0.52)):
         mosaic = Mosaic(Config(), 0.5)
         mosaic.add(dark)
         mosaic.add(second)
@@ -154,7 +159,11 @@ def test_a_coarsened_mosaic_is_that_of_half_the_resolution() -> None:
         fine.add(tile(index))
         coarse.add(tile(index))
     assert coarse.resolution_m in (0.1, 0.2)
-    assert drawn(coarse)[0].sum() == pytest.approx(drawn(fine)[0].sum(), rel=1e-3)
+    finest, half = drawn(fine), drawn(fine, 1)
+    assert drawn(coarse)[0].sum() == pytest.approx(finest[0].sum(), rel=1e-3)
+    rows, columns = (size // 2 for size in finest.shape[1:])
+    fours = finest.reshape(3, rows, 2, columns, 2).sum(axis=(2, 4))
+    np.testing.assert_allclose(half[:, :rows, :columns], fours, rtol=1e-5)
 
 
 def test_without_errors_the_echoes_are_the_same() -> None:
@@ -167,13 +176,12 @@ def test_without_errors_the_echoes_are_the_same() -> None:
 
 
 def test_a_mosaic_without_positions_is_empty() -> None:
-    unknown = tile()
-    lost = PoseTrack(
-        **{name: getattr(unknown.pose, name) for name in unknown.pose.__struct_fields__ if name != "latitude_deg"},
-        latitude_deg=np.full(40, math.nan),
-    )
+    unknown, stale = tile(), tile()
+    unknown.pose.latitude_deg[:] = math.nan
+    stale.pose.stale[:] = True
     mosaic = Mosaic(Config(), 0.25)
-    mosaic.add(tile(pose=lost))
+    mosaic.add(unknown)
+    mosaic.add(stale)
     assert mosaic.is_empty
     assert list(mosaic.levels()) == []
 
@@ -201,11 +209,13 @@ def test_gdal_opens_the_geotiff_and_a_point_target_lies_where_it_is(mission: tup
         assert file.block_shapes == [(BLOCK, BLOCK)] * 2
         assert file.overviews(1) == [2, 4]
         assert file.units == ("dB", "m")
+        assert file.tags()["AREA_OR_POINT"] == "Area", "or all would lie half a pixel off"
         assert file.nodata == 0
         echo_db = file.read(1, masked=True) * file.scales[0] + file.offsets[0]
         sigma_m = file.read(2, masked=True) * file.scales[1]
         point = truth["objects"][0]
         middle = file.index(point["lon"], point["lat"])
+        assert min(middle) >= 40, "indices below 0 would count from the other end"
         around = tuple(slice(at - 40, at + 41) for at in middle)  # 4 m: below the vehicle echoes are as strong
         brightest = np.unravel_index(np.argmax(echo_db[around].filled(-99.0)), (81, 81))
         longitude, latitude = file.xy(*(part.start + at for part, at in zip(around, brightest, strict=True)))
@@ -221,13 +231,20 @@ def test_the_kmz_lays_pictures_over_the_same_place(mission: tuple[Path, Any], tm
     with zipfile.ZipFile(tmp_path / "m.kmz") as file:
         assert file.testzip() is None
         document = ElementTree.fromstring(file.read("doc.kml"))
-        names = set(file.namelist())
+        pictures = {name: cv2.imdecode(np.frombuffer(file.read(name), np.uint8), 0) for name in file.namelist()[:-1]}
     overlays = list(document.iter("{http://www.opengis.net/kml/2.2}GroundOverlay"))
-    assert {overlay.findtext("{*}Icon/{*}href") for overlay in overlays} == names - {"doc.kml"}
-    west, south, east, north = (
-        float(overlays[0].findtext(f"{{*}}LatLonBox/{{*}}{side}", "nan")) for side in ("west", "south", "east", "north")
-    )
+    assert {overlay.findtext("{*}Icon/{*}href") for overlay in overlays} == pictures.keys()
     point = truth["objects"][0]
+    for overlay in overlays:
+        west, south, east, north = (
+            float(overlay.findtext(f"{{*}}LatLonBox/{{*}}{side}", "nan")) for side in ("west", "south", "east", "north")
+        )
+        picture = pictures[overlay.findtext("{*}Icon/{*}href", "")]
+        assert picture is not None
+        pixel_m = float(overlay.findtext("{*}name", "").split()[0])
+        sizes_deg = north - south, (east - west) * math.cos(math.radians(point["lat"]))
+        sizes_m = [size_deg * math.pi * SEMI_MAJOR_M / 180.0 for size_deg in sizes_deg]
+        assert sizes_m == pytest.approx([n_pixels * pixel_m for n_pixels in picture.shape], rel=1e-4)
     assert west < point["lon"] < east
     assert south < point["lat"] < north
 

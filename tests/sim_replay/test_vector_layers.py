@@ -74,6 +74,7 @@ def test_gdal_reads_every_layer_of_the_geopackage(results: Path, tmp_path: Path)
     assert types["views"] == "object"
     assert types["time"].startswith("datetime64")
     assert tuple(layers["contacts"]["total_bounds"]) == (12.0, 55.0, 12.0, 55.0)
+    assert tuple(layers["track"]["total_bounds"]) == (12.0, 55.0, 12.001, 55.0)
 
 
 @pytest.mark.parametrize(
@@ -221,10 +222,14 @@ def test_the_qgis_project_shows_every_layer_and_mosaic_by_a_relative_path(
     project = ElementTree.parse(tmp_path / "m.qgs").getroot()
     assert project.findtext("title") == HOSTILE
     assert project.findtext("projectCrs/spatialrefsys/authid") == f"EPSG:{epsg}"
-    assert [project.findtext(f"mapcanvas/extent/{side}") for side in ("xmin", "ymax")] == ["11.0", "56.0"]
+    corners = [project.findtext(f"mapcanvas/extent/{side}") for side in ("xmin", "ymin", "xmax", "ymax")]
+    assert corners == ["11.0", "54.0", "13.0", "56.0"]
+    assert project.findtext("mapcanvas/units") == ("degrees" if epsg == 4326 else "meters")
     sources = [layer.findtext("datasource", "") for layer in project.iter("maplayer")]
     assert sources[-n_legs:] == [f"./maps/m-{number}.tif" for number in range(n_legs)], "the mosaic lies at the bottom"
     assert sources[0] == "./m.gpkg|layername=contacts"
+    codes = [layer.findtext("srs/spatialrefsys/authid") for layer in project.iter("maplayer")]
+    assert codes == ["EPSG:4326"] * (len(codes) - n_legs) + [f"EPSG:{epsg}"] * n_legs
     tables = {name for name in gdal_layers(tmp_path / "m.gpkg") if name != "layer_styles"}
     assert {source.partition("layername=")[2] for source in sources[:-n_legs]} == tables
     ids = [layer.findtext("id") for layer in project.iter("maplayer")]

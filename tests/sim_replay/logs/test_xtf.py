@@ -185,44 +185,6 @@ def test_an_overriding_sound_speed_scales_ranges_and_is_reported(tmp_path: Path)
     assert first.port.first_range_m == pytest.approx(0.5 * first.port.spacing_m)
 
 
-def test_zero_navigation_is_unknown_and_counted(tmp_path: Path) -> None:
-    path = written(tmp_path / "log.xtf")
-
-    def forget(index: int, header: Any) -> None:
-        if index == 0:
-            for name in (
-                "SensorYcoordinate",
-                "SensorXcoordinate",
-                "SensorHeading",
-                "SensorPrimaryAltitude",
-                "SensorDepth",
-                "SensorSpeed",
-            ):
-                setattr(header, name, 0.0)
-
-    edit_headers(path, forget)
-    events, log = read(path)
-    assert [type(event) for event in events[:3]] == [Notice, Ping, NavSample]
-    assert log.counters["reader.zero_navigation"] == 1
-    assert math.isnan(pings_of(events)[0].altitude_m)
-    assert len(navigation_of(events)) == 7
-
-
-def test_a_position_of_zero_alone_is_unknown(tmp_path: Path) -> None:
-    path = written(tmp_path / "log.xtf")
-
-    def forget(index: int, header: Any) -> None:
-        if index == 3:
-            header.SensorYcoordinate = header.SensorXcoordinate = 0.0
-
-    edit_headers(path, forget)
-    events, log = read(path)
-    samples = navigation_of(events)
-    assert [math.isnan(s.latitude_deg) for s in samples] == [n == 3 for n in range(8)]
-    assert not math.isnan(samples[3].heading_rad)
-    assert log.counters["reader.zero_position"] == 1
-
-
 def test_only_distinct_fixes_carry_a_position(tmp_path: Path) -> None:
     path = written(tmp_path / "log.xtf", 9)
 

@@ -133,12 +133,23 @@ def test_degrees_that_are_said_to_be_metres_are_read_with_a_notice(tmp_path: Pat
     assert "reader.units_by_value" in codes_of(events)
 
 
-def test_only_impossible_dates(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("runs", "knots", "interval_s"), [(True, 1.0, 1.0), (False, 1.0, 0.1973 / 0.51444), (False, 0.0, 2 * 12.0 / 1500.0)]
+)
+def test_without_dates_times_are_by_clock_way_or_range(
+    runs: bool, knots: float, interval_s: float, tmp_path: Path
+) -> None:
     path = written(tmp_path / "log.xtf")
-    edit_headers(path, lambda _, header: setattr(header, "Month", 13))
+
+    def forget(index: int, header: Any) -> None:
+        header.Month, header.Hour, header.HSeconds, header.SensorSpeed = 13, 0, 0, knots
+        header.Minute, header.Second = 0, max(index - 4, 0) * runs
+        if runs and index < 4:
+            header.Hour, header.Minute, header.Second = 23, 59, 56 + index
+
+    edit_headers(path, forget)
     events, log = read(path)
-    assert [ping.time_s for ping in pings_of(events)] == sorted(ping.time_s for ping in pings_of(events))
-    assert len(pings_of(events)) == 8
+    assert np.diff([ping.time_s for ping in pings_of(events)]) == pytest.approx([interval_s] * 7, rel=1e-3)
     assert "reader.time_unknown" in codes_of(events)
     assert log.counters["reader.time_invalid"] == 0
 
@@ -256,26 +267,20 @@ def test_a_side_that_comes_and_goes(tmp_path: Path) -> None:
     assert [p.starboard is None for p in pings_of(read(path)[0])] == [False, True] * 3
 
 
-def test_no_navigation_at_all_is_delivered_without_positions(tmp_path: Path) -> None:
+@pytest.mark.parametrize("n_without", [1, 5])
+def test_a_header_without_any_navigation_brings_none(n_without: int, tmp_path: Path) -> None:
     path = written(tmp_path / "log.xtf", navigated([ping(n) for n in range(5)]))
 
-    def forget(_: int, header: Any) -> None:
-        for name in (
-            "SensorHeading",
-            "SensorPitch",
-            "SensorRoll",
-            "SensorDepth",
-            "SensorSpeed",
-            "SensorPrimaryAltitude",
-        ):
-            setattr(header, name, 0.0)
-        header.SensorYcoordinate = header.SensorXcoordinate = 0.0
+    def forget(index: int, header: Any) -> None:
+        for name in ("Heading", "Pitch", "Roll", "Depth", "Speed", "PrimaryAltitude", "Ycoordinate", "Xcoordinate"):
+            setattr(header, f"Sensor{name}", getattr(header, f"Sensor{name}") * (index >= n_without))
 
     edit_headers(path, forget)
     events, log = read(path)
     assert len(pings_of(events)) == 5
-    assert navigation_of(events) == []
-    assert log.counters["reader.zero_navigation"] == 5
+    assert math.isnan(pings_of(events)[0].altitude_m)
+    assert len(navigation_of(events)) == 5 - n_without
+    assert log.counters["reader.zero_navigation"] == n_without
     assert codes_of(events) == ["reader.zero_navigation"]
 
 
@@ -306,7 +311,7 @@ def test_nan_in_navigation_is_unknown(tmp_path: Path, field: str, quantity: str,
         assert math.isnan(samples[2].longitude_deg)
 
 
-@pytest.mark.parametrize(("latitude", "longitude"), [(91.0, 5.0), (-1e300, 5.0), (43.0, 361.0)])
+@pytest.mark.parametrize(("latitude", "longitude"), [(91.0, 5.0), (-1e300, 5.0), (43.0, 361.0), (0.0, 0.0)])
 def test_an_impossible_position_is_unknown(tmp_path: Path, latitude: float, longitude: float) -> None:
     path = written(tmp_path / "log.xtf", 2)
 
@@ -316,7 +321,8 @@ def test_an_impossible_position_is_unknown(tmp_path: Path, latitude: float, long
     edit_headers(path, move)
     events, log = read(path)
     assert [math.isnan(s.latitude_deg) and math.isnan(s.longitude_deg) for s in navigation_of(events)] == [True] * 2
-    assert log.counters["reader.impossible_position"] == 2
+    assert not any(math.isnan(s.heading_rad) for s in navigation_of(events))
+    assert log.counters["reader.impossible_position" if latitude else "reader.zero_position"] == 2
 
 
 def test_time_going_backwards_is_delivered_and_counted(tmp_path: Path) -> None:
