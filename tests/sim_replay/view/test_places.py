@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec import structs
 
 from auv_mcm.geometry.shadow import shadow_height_m
 from auv_mcm.settings.config import SonarConfig
@@ -51,6 +52,20 @@ def test_a_shadow_gives_the_height_that_threw_it(height_m: float, top_m: float, 
     measured = measure_shadow(STORE, [WaterfallPoint(90.0, sign * end_m), WaterfallPoint(90.0, sign * shown_m)])
     assert measured.height_m == pytest.approx(height_m, abs=1e-6)
     assert measured.length_m == pytest.approx(end_m - shown_m)
+
+
+def test_a_point_goes_by_the_first_return_of_its_own_row_and_a_shadow_by_that_half_way() -> None:
+    store, returns_m = WaterfallStore(), 5.0 + 0.02 * np.arange(256)
+    returns_m[200] = np.nan
+    flat = tile("port", 0, np.ones((256, 64), dtype=np.float32))
+    store.add(structs.replace(flat, first_return_m=returns_m))
+    points = [WaterfallPoint(100.25, -7.0), WaterfallPoint(200.75, -7.0)]
+    places = place_points(store, SonarConfig(pitch_offset_deg=10.0), points)
+    expected_m = np.array([5.0 + 0.02 * 99.75, returns_m[201]])
+    assert places.slant_range_m == pytest.approx(np.hypot(7.0, expected_m))
+    assert places.altitude_m == pytest.approx(expected_m * math.cos(math.radians(10.0)))
+    ends = [WaterfallPoint(10.0, -8.0), WaterfallPoint(90.0, -12.0)]
+    assert measure_shadow(store, ends).height_m == pytest.approx(shadow_height_m(returns_m[50], 8.0, 12.0))
 
 
 def test_a_shadow_does_not_cross_the_track() -> None:
