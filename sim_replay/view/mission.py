@@ -257,7 +257,7 @@ class ShownMission:
 
     def judged(self) -> dict[str, Verdict]:
         """Match verdicts with the contacts of these results, by id."""
-        version = (self._verdict_version, self._contacts.version)
+        version = (self._verdict_version, self._overview_version)
         if self._matched[0] != version:
             places = [contact.place for contact in self._overviews]
             self._matched = version, match_verdicts(self._verdicts, places)

@@ -81,7 +81,7 @@ class ContactFile:
                 self._take(_features(whole))
                 self._is_whole = True
         elif state[1] is not None:
-            if self._is_whole:
+            if self._is_whole or state[1][1] < self._journal_bytes:
                 is_other, self._is_whole = True, False
                 self._journal_bytes, self.features = 0, {}
             self._read_journal(journal)
@@ -90,8 +90,6 @@ class ContactFile:
 
     def _read_journal(self, path: Path) -> None:
         with open_regular(path) as file:
-            if os.fstat(file.fileno()).st_size < self._journal_bytes:
-                self._journal_bytes, self.features = 0, {}
             file.seek(self._journal_bytes)
             data = file.read()
         whole = data.rfind(b"\n") + 1

@@ -7,6 +7,7 @@ import math
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -21,6 +22,7 @@ from sim_replay.verdicts import VERDICTS_FILE, append_verdict, newest_verdicts, 
 from sim_replay.view.background_replay import BackgroundReplay
 from sim_replay.view.mission import Judgement, ReplayAgain, ShownMission
 from sim_replay.view.mission_feed import MissionFeed
+from sim_replay.view.mission_files import Overview, overview
 from sim_replay.view.places import WaterfallPoint
 from sim_replay.view.show import named_logs, open_shown, show
 from sim_replay.view.waterfall_store import WaterfallStore
@@ -128,6 +130,33 @@ def test_a_verdict_of_a_page_that_shows_results_of_before_goes_to_no_contact_of_
     with pytest.raises(UsageError, match="replayed meanwhile"):
         mission.judge(Judgement(contact_id="C00002", call="mine_like", generation=before))
     assert mission.judge(Judgement(contact_id="C00002", generation=before + 1)).object == "V0002"
+
+
+def test_a_verdict_of_a_page_goes_to_no_contact_of_a_replay_that_began_again_meanwhile(tmp_path: Path) -> None:
+    journal = tmp_path / "contacts.jsonl"
+    journal.write_text("".join(json.dumps({"contact": feature(n, 100.0 * n)}) + "\n" for n in (1, 2)))
+    mission = shown(tmp_path)
+    journal.write_text(json.dumps({"contact": feature(1, 500.0)}) + "\n")
+    mission.refresh()
+    assert mission.contacts()["id"] == ["C00001"]
+    with pytest.raises(UsageError, match="replayed meanwhile"):
+        mission.judge(Judgement(contact_id="C00001", generation=0))
+
+
+def test_a_card_asked_for_while_contacts_are_read_again_leaves_verdicts_with_their_objects(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mission = shown(write_results(tmp_path, [feature(1, 100.0)]))
+    mission.judge(Judgement(contact_id="C00001", call="mine_like"))
+
+    def asked_meanwhile(one: dict[str, Any]) -> Overview:
+        mission.judged()  # as another thread does
+        return overview(one)
+
+    monkeypatch.setattr("sim_replay.view.mission.overview", asked_meanwhile)
+    write_results(tmp_path, [feature(1, 300.0), feature(2, 100.0)])
+    mission.refresh()
+    assert list(mission.contacts()["verdicts"]) == ["C00002"]
 
 
 def test_contacts_of_a_replay_on_another_page_are_not_mixed_with_those_before(tmp_path: Path) -> None:
@@ -264,9 +293,10 @@ def test_a_drawn_object_lies_where_it_was_clicked_and_can_be_judged_again(tmp_pa
     verdict = mission.judge(Judgement(row=250.0, across_m=-10.0, call="mine_like"))
     latitude, longitude = position(-10.0, 250.0 * 0.12)
     assert (verdict.latitude_deg, verdict.longitude_deg) == pytest.approx((latitude, longitude), abs=1e-7)
-    assert verdict.drawn
     again = mission.judge(Judgement(object="V0001", call="not_mine_like"))
     assert (again.object, again.latitude_deg, again.drawn) == ("V0001", verdict.latitude_deg, True)
+    (drawn,) = mission.contacts()["drawn"]
+    assert (drawn["row"], drawn["across"]) == pytest.approx((250.0, -10.0), abs=0.1)
 
 
 @pytest.mark.parametrize(
@@ -281,6 +311,7 @@ def test_a_drawn_object_lies_where_it_was_clicked_and_can_be_judged_again(tmp_pa
         Judgement(contact_id="C00001", length_m=float("nan")),
         Judgement(row=1e9, across_m=0.0, call="mine_like"),
         Judgement(row=10.0, across_m=-500.0, call="mine_like"),
+        Judgement(row=-1.0, across_m=10.0, call="mine_like"),
         Judgement(row=float("nan"), across_m=1.0),
     ],
 )
@@ -372,12 +403,30 @@ def test_a_folder_that_shows_nothing_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_measure_is_as_far_from_a_contact_as_its_nearer_end_from_the_nearest_view(tmp_path: Path) -> None:
-    mission = shown(write_results(tmp_path, [feature(1, 100.0, 20.0), feature(2, 5000.0, 20.0)]))
-    ends = [WaterfallPoint(100.0, 23.0), WaterfallPoint(100.0, 33.0)]
-    assert mission.distance_m("C00001", ends) == pytest.approx(3.0, abs=0.02)
-    assert mission.distance_m("C00001", ends[::-1]) == pytest.approx(3.0, abs=0.02)
+    twice = feature(1, 100.0, -20.0)
+    twice["properties"]["views"] += feature(1, 200.0, 15.0)["properties"]["views"]
+    mission = shown(write_results(tmp_path, [twice, feature(2, 5000.0, 20.0)]))
+    ends = [WaterfallPoint(110.0, -23.0), WaterfallPoint(110.0, -33.0)]
+    assert mission.distance_m("C00001", ends) == pytest.approx(math.hypot(1.2, 3.0), abs=0.02)
+    assert mission.distance_m("C00001", ends[::-1]) == pytest.approx(math.hypot(1.2, 3.0), abs=0.02)
+    assert mission.distance_m("C00001", [WaterfallPoint(200.0, 16.0)]) == pytest.approx(1.0, abs=0.02)
     assert math.isnan(mission.distance_m("C00002", ends)), "its pings are not in the waterfall"
     assert math.isnan(mission.distance_m("C00003", ends))
+    card = mission.contact("C00001")
+    assert card is not None
+    assert card["view_rows"] == pytest.approx([100.0, 200.0], abs=0.1)
+
+
+def test_the_map_shows_no_track_and_no_waterfall_where_the_position_was_lost(tmp_path: Path) -> None:
+    store = WaterfallStore()
+    for row in (0, 64, 128):
+        made = tile("port", row, np.ones((64, 64), dtype=np.float32))
+        store.add(msgspec.structs.replace(made, pose=msgspec.structs.replace(made.pose, stale=np.full(64, row == 64))))
+    mission = shown(write_results(tmp_path, []), store)
+    assert [latitude is None for latitude in mission.track()["latitude"][::64]] == [False, True, False]
+    strips = mission.strips(32, 160)
+    assert strips["row"] == [32, 96, 160]
+    assert [corners[0][0] is None for corners in strips["corners"]] == [False, True, False]
 
 
 def test_results_without_their_log_still_have_their_track(tmp_path: Path) -> None:
