@@ -203,13 +203,6 @@ def test_a_file_that_could_not_be_begun_leaves_its_name_to_the_next(tmp_path: Pa
     SessionWriter(tmp_path, description()).close()
 
 
-def test_a_disk_near_its_reserve_is_not_filled_with_files(tmp_path: Path) -> None:
-    writer = SessionWriter(tmp_path, description(), reserve_bytes=5_000_000, free_bytes=lambda folder: 9_000_000)
-    with pytest.raises(OSError, match="reserved for results"):
-        writer.go_on(0)
-    assert len(list(tmp_path.iterdir())) == 1
-
-
 def test_a_session_goes_on_where_the_numbers_of_its_messages_begin_again(tmp_path: Path) -> None:
     chunks = traffic(1, 5)
     writer = SessionWriter(tmp_path, description())
