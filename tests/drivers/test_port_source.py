@@ -6,7 +6,6 @@ import asyncio
 import math
 from collections import Counter
 from collections.abc import Callable
-from itertools import count
 from typing import Any
 
 import pytest
@@ -19,9 +18,6 @@ from auv_mcm.shell.event_queue import EventQueue
 from auv_mcm.shell.sources import parse_source_uri
 from auv_mcm.source import LiveSource, QuantityState
 from drivers.links.link import Link
-from drivers.links.pulse import pack_edge
-from drivers.navigation.nmea0183 import sentence
-from drivers.navigation.sentences import Zda, body_of
 from drivers.port_intake import PortIntake
 from drivers.port_source import OnBytes, OnState, PortSource, open_source
 from drivers.ports import PortSettings, read_ports
@@ -102,16 +98,6 @@ class Bench:
         return [event.code for event in self.events if isinstance(event, Notice)]
 
 
-def test_a_udp_port_that_hears_every_sender_is_reported_when_the_source_starts() -> None:
-    open_port = "ports: [{name: n, link: 'udp://0.0.0.0:6001', device: nmea0183}]"
-    codes = []
-    for text in (open_port, open_port.replace("6001", "6001?peer=10.0.0.2:6002")):
-        bench = Bench(text)
-        bench.run(bench.state_is("n", "up"))
-        codes.append(bench.codes().count("port_open_to_all"))
-    assert codes == [1, 0]
-
-
 def test_what_comes_live_is_what_its_recording_comes_to() -> None:
     bench = Bench()
 
@@ -134,46 +120,6 @@ def test_what_comes_live_is_what_its_recording_comes_to() -> None:
     assert sum(isinstance(event, Ping) for event in reported) == 20
     assert any(isinstance(event, NavSample) for event in reported)
     assert isinstance(bench.source, LiveSource)
-
-
-def test_utc_by_pulses_is_the_same_when_its_recording_is_replayed() -> None:
-    bench = Bench(
-        PORTS.replace(
-            "device: nmea0183", "device: nmea0183, navigation: {gives_utc: true, pulse_link: 'pps:///dev/pps0'}"
-        )
-    )
-    zda = sentence(body_of(Zda(3600.0, 19_000.0)))
-
-    calls = count()
-
-    def label() -> bool:
-        """Pulses and their names, again and again, for on a slow computer a name may come too late for its pulse."""
-        if next(calls) % 50 == 0:
-            now_ns = round(SystemClock().monotonic_s() * 1e9)
-            for edge_ns in (now_ns - 1_000_000_000, now_ns):
-                bench.wires["gnss.pulse"].send(pack_edge(edge_ns))
-            bench.wires["gnss"].send(zda + zda)
-        return "utc_taken" in bench.codes()
-
-    def send() -> None:
-        for chunk in traffic(5):
-            bench.wires[chunk.port].send(chunk.data)
-
-    def all_heard() -> bool:
-        return sum(port == "sonar" and way == "in" for port, way, *_ in bench.recorded) >= 10
-
-    bench.run(*(bench.state_is(name, "up") for name in bench.wires), label, send, all_heard)
-    intake = PortIntake(bench.config)
-    replayed = [
-        event for port, way, stamp, data in bench.recorded if way == "in" for event in intake.feed(port, data, stamp)
-    ]
-    replayed += intake.finish()
-    reported = [event for event in bench.events if not (isinstance(event, Notice) and event.code.startswith("port_"))]
-    assert [str(event) for event in reported] == [str(event) for event in replayed]
-    assert bench.codes().count("utc_taken") == 1
-    times_s = [event.time_s for event in reported if isinstance(event, NavSample)]
-    assert times_s
-    assert all(0.0 <= time_s - (19_000.0 * 86_400.0 + 3600.0) < GENEROUS_S for time_s in times_s)
 
 
 def test_a_sonar_is_set_to_ping_at_the_start_and_when_it_comes_back() -> None:
