@@ -240,11 +240,6 @@ def test_what_is_accepted_changes_calls_and_nothing_else() -> None:
     assert contacts_geojson(alike[0]) == contacts_geojson(alike[1])
 
 
-def test_finish_twice_adds_nothing() -> None:
-    pipeline, _ = run(mission())
-    assert pipeline.finish() == []
-
-
 def test_the_gate_takes_nothing_from_what_is_reported() -> None:
     measured, _ = run(mission(), Config(contacts=ContactsConfig(min_p_mine=0.0)))
     likely = {contact.views[0].row: contact.p_mine for contact in measured.contacts if contact.p_mine >= 0.05}

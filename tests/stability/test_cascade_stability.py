@@ -9,9 +9,6 @@ import math
 import msgspec
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from auv_mcm.detect.candidates import STEP_M
 from auv_mcm.detect.cascade.bands import (
@@ -29,12 +26,9 @@ from auv_mcm.detect.cascade.run import CascadeResult, core_plane, run_plane
 from auv_mcm.detect.detect_tile import TileDetections, detect_tile
 from auv_mcm.records import LOW_RESOLUTION, SATURATED, TURN, VALID, Tile
 from auv_mcm.settings.config import Config, DetectConfig
-from sim_replay.benches.stability.rows import random_of
 from tests.auv_mcm.detect.drawn_cascade import BEFORE, HIGHLIGHT, SHADOW
 from tests.make.models import model_with
 from tests.stability.tile_pictures import COLUMN_M, PICTURES, ROW_M, SHAPE, holes, speckle, tile_of, with_object
-
-Codes = NDArray[np.uint16]
 
 ANY_SCORE = -MAX_STUMPS * MAX_LEAF
 CONFIG = Config(detect=DetectConfig(max_candidates_per_tile=40))
@@ -54,23 +48,6 @@ def model_of(*groups: tuple[Stump, ...], reject: int = 0) -> CascadeModel:
     model = model_with(groups, reject, row_spacing_m=any_m, column_spacing_m=any_m, calibration=calibration)
     check_model(model, "made here")
     return model
-
-
-def drawn_model(seed: int) -> CascadeModel:
-    """Twelve comparisons of boxes at least 0.5 m long and wide that drop nothing."""
-    random = random_of(seed)
-
-    def box() -> FeatureBox:
-        top, near = random.uniform(-1.0, 0.4, 2)
-        length, width = random.uniform(0.5, 1.0 - top), random.uniform(0.5, 1.0 - near)
-        return FeatureBox(*map(float, (top, top + length, near, 0.0, near + width, random.uniform(0.0, 1.0))))
-
-    stumps = []
-    for k in range(12):
-        threshold, leaf = float(3.0 ** random.uniform(-1.0, 1.0)), int(random.integers(-900, 900))
-        ask = (ratio, threshold) if k % 2 else (contrast, threshold - 1.0 / threshold)
-        stumps.append(ask[0](box(), box(), ask[1], leaf))
-    return model_of(tuple(stumps), reject=ANY_SCORE)
 
 
 MODEL = model_of((ratio(HIGHLIGHT, BEFORE, 3.0),), (contrast(BEFORE, SHADOW, 0.5),), (ratio(HIGHLIGHT, SHADOW, 10.0),))
@@ -197,42 +174,6 @@ def test_the_largest_model_does_not_wrap() -> None:
 # --- what may be done to a tile without a score changing ---
 
 
-@settings(max_examples=12)
-@given(seed=st.integers(0, 2**32 - 1), power=st.sampled_from([-3, -1, 1, 3]))
-def test_gain_of_a_power_of_two_changes_no_score(seed: int, power: int) -> None:
-    """Ratios know no gain, and differences over the mean of the window none either."""
-    random = np.random.Generator(np.random.PCG64(seed))
-    codes = 8 * np.minimum(np.rint(64 * random.exponential(size=(16, 100))), 250)
-    everywhere, usable = np.ones(codes.shape, dtype=np.bool_), np.zeros(codes.shape, dtype=np.bool_)
-    usable[5:-5, 4:70] = True  # away from the margins, which stay as they are
-    loud, quiet = (
-        run_plane(
-            make_plane(one.astype(np.uint16), everywhere, usable, np.full(16, 5.0), 0.3, 0.35), drawn_model(seed), None
-        )
-        for one in (codes * 2.0**power, codes)
-    )
-    assert quiet.n_windows == usable.sum()
-    assert scores(loud) == scores(quiet)
-
-
-@settings(max_examples=12)
-@given(seed=st.integers(0, 2**32 - 1))
-def test_reversing_the_track_reverses_the_windows(seed: int) -> None:
-    def reversed_box(box: FeatureBox) -> FeatureBox:
-        return msgspec.structs.replace(box, top_m=-box.bottom_m, bottom_m=-box.top_m)
-
-    def reversed_stump(stump: Stump) -> Stump:
-        w = None if stump.w is None else reversed_box(stump.w)
-        return msgspec.structs.replace(stump, a=reversed_box(stump.a), b=reversed_box(stump.b), w=w)
-
-    model, plane, mask = drawn_model(seed), speckle(seed, (24, 70)), holes(0.1)[:24, :70]
-    back = msgspec.structs.replace(
-        model, groups=tuple(tuple(reversed_stump(stump) for stump in group) for group in model.groups)
-    )
-    one, other = run(tile_of(plane, mask), model), run(tile_of(plane[::-1], mask[::-1]), back)
-    assert {(23 - row, column): score for (row, column), score in scores(other).items()} == scores(one)
-
-
 def test_reversing_the_track_finds_the_same_object() -> None:
     plane = with_object(speckle(5))
     there, back = (looked_at(tile_of(p), None).detections[0] for p in (plane, plane[::-1]))
@@ -244,16 +185,6 @@ def test_reversing_the_track_finds_the_same_object() -> None:
 def test_a_side_is_as_good_as_the_other() -> None:
     port = tile_of(with_object(speckle()))
     assert scores(run(port)) == scores(run(msgspec.structs.replace(port, side="starboard")))
-
-
-@pytest.mark.parametrize(("rows", "columns"), [(1, 0), (0, 1), (20, 50)])
-def test_a_masked_border_changes_no_window(rows: int, columns: int) -> None:
-    model, mask = drawn_model(1), holes(0.05)
-    plain = run(tile_of(speckle(), mask), model)
-    around = ((rows, rows), (0, columns))
-    framed = run(tile_of(np.pad(speckle(), around, constant_values=7.0), np.pad(mask, around)), model)
-    assert plain.n_windows > 10_000
-    assert scores(framed, -rows) == scores(plain)
 
 
 @pytest.mark.parametrize("model", [None, MODEL])

@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from auv_mcm.detect.contrasts import MIN_THRESHOLD, contrasts
-from auv_mcm.detect.prescreen import CONTEXT_M
 from auv_mcm.kernels import contrast as kernel
 from auv_mcm.records import LOW_RESOLUTION, SATURATED, VALID, Tile
 from tests.auv_mcm.detect.all_scores import all_scores
@@ -101,19 +100,6 @@ def test_large_tiles_score_as_by_all_pixels(seed: int) -> None:
     assert_same(drawn_tile(seed, (150, 700)), 1e-4)
 
 
-@settings(max_examples=10, deadline=None)
-@given(seed=st.integers(0, 100_000), shape=st.tuples(st.integers(1, 40), st.integers(1, 120)))
-def test_numpy_alone_finds_the_same(seed: int, shape: tuple[int, int]) -> None:
-    tile = drawn_tile(seed, shape)
-    found = contrasts(tile, 1e-3)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(kernel, "call", lambda name, *arguments: False)
-        alone = contrasts(tile, 1e-3)
-        peaks = alone.peaks(0.4)
-    np.testing.assert_array_equal(found.score, alone.score, strict=True)
-    assert found.peaks(0.4) == peaks
-
-
 def test_threads_change_nothing() -> None:
     tiles = [drawn_tile(seed, (60, 300)) for seed in range(6)]
     with ThreadPoolExecutor(3) as pool:
@@ -121,24 +107,8 @@ def test_threads_change_nothing() -> None:
     assert together == [contrasts(tile, 1e-3).peaks(0.4) for tile in tiles]
 
 
-def test_where_a_tile_is_cut_changes_no_score_beyond_rounding() -> None:
-    strip = speckle(4, (400, 200), spread_pixels=1.0)
-    reach = round(CONTEXT_M / 0.12) + 1
-    whole = contrasts(make_tile(strip), 1e-3).score
-    part = contrasts(make_tile(strip[100:330]), 1e-3).score
-    inner = slice(reach, 230 - reach)
-    np.testing.assert_allclose(part[inner], whole[100:330][inner], rtol=1e-4)
-
-
 def test_low_thresholds_weigh_all_pixels() -> None:
     assert threshold_of(0.3) < MIN_THRESHOLD < threshold_of(1e-3)
-
-
-def test_silence_and_masked_tiles_hold_no_peaks() -> None:
-    silent, masked = np.zeros((30, 90), dtype=np.float32), np.zeros((30, 90), dtype=np.uint8)
-    for tile in (make_tile(silent), make_tile(speckle(1, (30, 90)), masked)):
-        assert contrasts(tile, 1e-4).peaks(0.4) == []
-        assert (contrasts(tile, 1e-4).score == -np.inf).all()
 
 
 # ---------------------------------------------------------------- kernels

@@ -320,32 +320,6 @@ def test_borders_of_masked_areas_and_of_the_tile_at_most_double_the_alarms() -> 
     assert np.mean(at_border) < 2.0 * np.mean(inside)
 
 
-@settings(max_examples=8)
-@given(exponent=st.floats(-3.0, 0.0), seed=st.integers(0, 1000))
-def test_gain_changes_no_score(exponent: float, seed: int) -> None:
-    """Below the bounds put on bright pixels, which are set for tiles of mean one."""
-    intensity = np.minimum(speckle(seed, (60, 90)), np.float32(5.0))
-    plain, louder = (
-        all_scores(make_tile(intensity)),
-        all_scores(make_tile((intensity * 10.0**exponent).astype(np.float32))),
-    )
-    np.testing.assert_allclose(louder.score, plain.score, rtol=0, atol=1e-5)
-
-
-def test_port_and_starboard_score_alike() -> None:
-    intensity = speckle(1, (60, 90))
-    for port, starboard in zip(
-        all_scores(make_tile(intensity, side="port")), all_scores(make_tile(intensity)), strict=True
-    ):
-        np.testing.assert_array_equal(port, starboard)
-
-
-def test_reversing_the_track_reverses_the_scores() -> None:
-    intensity = speckle(2, (60, 90), texture_nu=3.0)
-    there, back = all_scores(make_tile(intensity)), all_scores(make_tile(intensity[::-1]))
-    np.testing.assert_allclose(back.score[::-1], there.score, rtol=0, atol=1e-5)
-
-
 @pytest.mark.parametrize("row_m", [0.05, 0.12, 0.2])
 def test_context_is_all_a_score_depends_on_along_track(row_m: float) -> None:
     """However a strip is cut, the rows CONTEXT_M inside a piece score as in the whole strip."""
@@ -360,19 +334,6 @@ def test_context_is_all_a_score_depends_on_along_track(row_m: float) -> None:
         inner = slice(context if start else 0, stop - start - (context if stop < n_rows else 0))
         for found, expected in zip(piece, whole, strict=True):
             np.testing.assert_allclose(found[inner], expected[start:stop][inner], rtol=1e-5, atol=1e-5)
-
-
-def test_a_masked_border_is_like_a_tile_that_ends_there() -> None:
-    """Rows before the tile's first and columns beyond its last that hold nothing change nothing, apart from the least
-    shadow."""
-    intensity = speckle(4, (50, 80))
-    mask = np.zeros((70, 110), dtype=np.uint8)
-    mask[10:60, :80] = VALID
-    wide = np.full((70, 110), 7.0, dtype=np.float32)
-    wide[10:60, :80] = intensity
-    bordered, plain = all_scores(make_tile(wide, mask)), all_scores(make_tile(intensity))
-    np.testing.assert_allclose(bordered.score[10:60, :80], plain.score, rtol=0, atol=1e-5)
-    assert (bordered.score[mask == 0] == -np.inf).all()
 
 
 def flat(value: float, shape: tuple[int, int] = (90, 130)) -> Plane:
