@@ -63,19 +63,6 @@ def test_turning_the_compass_or_mirroring_it_changes_no_belief(
     )
 
 
-@pytest.mark.parametrize(
-    ("first_deg", "second_deg", "symmetric"), [(179.9, -179.9, False), (179.9, 0.1, True), (-0.1, 359.9, False)]
-)
-def test_aspects_on_either_side_of_the_wrap_are_one_aspect(
-    first_deg: float, second_deg: float, symmetric: bool
-) -> None:
-    across = fused(math.radians(first_deg), math.radians(second_deg), symmetric=symmetric)
-    beside = fused(0.3, 0.3 + math.radians(0.2), symmetric=symmetric)
-    opposite = fused(0.3, 0.3 + 0.5 * math.pi, symmetric=symmetric)
-    np.testing.assert_allclose(across, beside, rtol=0, atol=1e-4)
-    assert np.abs(across - opposite).max() > 0.01
-
-
 @given(ANGLE, st.integers(-3, 3), st.sampled_from(["cylinder", "box", "wedge"]))
 def test_turned_solids_look_the_same_where_they_are(azimuth: float, n: int, kind: str) -> None:
     turn = n * (TURN if kind == "wedge" else 0.5 * TURN)

@@ -26,16 +26,13 @@ from auv_mcm.classify.beliefs import (
 from auv_mcm.classify.evidence import ClassEvidence, view_mass
 from auv_mcm.records import ContactClass
 from sim_replay.benches.stability.back_rows import GRID, whole_masses
+from tests.make.random_numbers import generator
 
 
 @pytest.fixture(autouse=True)
 def _no_floating_point_flag() -> Iterator[None]:
     with np.errstate(all="raise", under="ignore"):
         yield
-
-
-def generator(seed: int) -> np.random.Generator:
-    return np.random.Generator(np.random.PCG64(seed))
 
 
 def floats(masses: list[list[int]]) -> Array:

@@ -31,6 +31,7 @@ from sim_replay.fitting.cascade.pool import Pool, bin_edges, feature_pool, model
 from sim_replay.fitting.cascade.soft import best_windows, reject_thresholds
 from sim_replay.fitting.cascade.validation import ValidationSighting, calibrate, expected_pd
 from tests.make.models import model_with
+from tests.make.random_numbers import generator
 from tests.stability.tile_pictures import PICTURES
 
 Labels = NDArray[np.bool_]
@@ -39,10 +40,6 @@ POOL = feature_pool()
 SOME = Pool(POOL.boxes, POOL.features[::41])
 SHAPE = (40, 160)
 MOST = MAX_STUMPS * MAX_LEAF
-
-
-def generator(seed: int) -> np.random.Generator:
-    return np.random.Generator(np.random.PCG64(seed))
 
 
 def plane_of(
@@ -97,24 +94,6 @@ def test_box_means_stay_within_the_codes_at_every_altitude_on_every_grid(
     assert means.min() >= 0.0
     assert means.max() <= 16384.0
     assert np.isfinite(edges).all()
-
-
-@pytest.mark.parametrize("power", [-3, 1, 3])
-def test_gain_of_a_power_of_two_changes_no_bin(power: int) -> None:
-    codes = 8 * np.minimum(np.rint(64 * generator(5).exponential(size=SHAPE)), 250)
-    everywhere = np.ones(SHAPE, dtype=np.bool_)
-    inside = generator(6).integers(10, 30, 200), generator(7).integers(20, 40, 200)  # margins stay as they are
-    quiet, loud = (
-        pool_box_means(
-            make_plane((codes * gain).astype(np.uint16), everywhere, everywhere, np.full(SHAPE[0], 6.0), 0.12, 0.06),
-            SOME.boxes,
-            *inside,
-        )
-        for gain in (1.0, 2.0**power)
-    )
-    edges = bin_edges(SOME, quiet)
-    np.testing.assert_array_equal(bin_edges(SOME, loud), edges)
-    np.testing.assert_array_equal(quantise(SOME, edges, loud), quantise(SOME, edges, quiet))
 
 
 # --- boosting ---

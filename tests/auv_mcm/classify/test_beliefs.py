@@ -38,6 +38,7 @@ from auv_mcm.classify.beliefs import (
     vacuous,
     yager,
 )
+from tests.make.random_numbers import generator
 
 Classes: TypeAlias = frozenset[int]
 Exact: TypeAlias = dict[Classes, Fraction]
@@ -76,10 +77,6 @@ def with_conflict_unknown(joint: Exact) -> Exact:
 
 
 # Random sources.
-
-
-def generator(seed: int) -> np.random.Generator:
-    return np.random.Generator(np.random.PCG64(seed))
 
 
 def random_masses(seed: int, n: int) -> Array:
@@ -183,18 +180,6 @@ def test_belief_and_pignistic_are_their_definitions() -> None:
         assert nonspecificity(masses)[k] == pytest.approx(bits, abs=NEAR)
 
 
-@given(source())
-def test_what_is_believed_is_bet_on_and_what_is_bet_on_is_plausible(mass: Array) -> None:
-    bets = np.array([pignistic(mass)[list(classes)].sum() for classes in SETS])
-    assert (belief(mass) <= bets + NEAR).all()
-    assert (bets <= plausibility(mass) + NEAR).all()
-
-
-def test_ignorance_believes_nothing_and_bets_on_all_alike() -> None:
-    np.testing.assert_array_equal(belief(vacuous())[:-1], 0.0)
-    np.testing.assert_allclose(pignistic(vacuous()), 0.2)
-
-
 @given(source(), UNIT)
 def test_a_discount_scales_belief_and_leaves_the_rest_unknown(mass: Array, reliability: float) -> None:
     discounted = discount(mass, reliability)
@@ -233,29 +218,6 @@ def test_chains_of_views_combine_as_in_rational_arithmetic() -> None:
         np.testing.assert_allclose(yager(masses), floats(with_conflict_unknown(joint)), rtol=NEAR, atol=0)
 
 
-@given(st.lists(source(), min_size=2, max_size=6), st.integers(0, 1000))
-def test_no_rule_depends_on_the_order_of_its_sources(masses: list[Array], seed: int) -> None:
-    shuffled = generator(seed).permutation(np.stack(masses))
-    for rule in (lambda m: dempster(m).mass, yager):
-        np.testing.assert_allclose(rule(np.stack(masses)), rule(shuffled), rtol=0, atol=NEAR)
-
-
-@given(st.lists(source(), min_size=1, max_size=6))
-def test_masses_stay_masses_under_every_rule(masses: list[Array]) -> None:
-    for rule in (lambda m: dempster(m).mass, yager):
-        fused = rule(np.stack(masses))
-        assert (fused >= 0.0).all()
-        assert fused.sum() == pytest.approx(1.0, abs=NEAR)
-        assert fused[0] == 0.0
-
-
-@given(source())
-def test_ignorance_adds_nothing(mass: Array) -> None:
-    for pair in (np.stack((mass, vacuous())), np.stack((vacuous(), mass))):
-        for rule in (lambda m: dempster(m).mass, yager):
-            np.testing.assert_allclose(rule(pair), mass, rtol=0, atol=NEAR)
-
-
 def test_rules_take_stacks_of_sources_as_one_by_one() -> None:
     masses = random_masses(4, 24).reshape(4, 2, 3, N_SUBSETS)
     for rule in (lambda m: dempster(m).mass, yager):
@@ -263,11 +225,6 @@ def test_rules_take_stacks_of_sources_as_one_by_one() -> None:
         assert together.shape == (2, 3, N_SUBSETS)
         for i, j in np.ndindex(2, 3):
             np.testing.assert_array_equal(together[i, j], rule(masses[:, i, j]))
-
-
-def test_many_equal_views_converge_to_what_they_say() -> None:
-    fused = dempster(np.broadcast_to(LIKELY_SPHERE, (60, N_SUBSETS))).mass
-    assert belief(fused)[subset("sphere")] == pytest.approx(1.0, abs=1e-6)
 
 
 # Views of one contact.

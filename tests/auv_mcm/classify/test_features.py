@@ -71,14 +71,6 @@ def test_compressed_is_odd(nats: float) -> None:
     )
 
 
-@given(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6))
-def test_compressed_keeps_the_order(first: float, second: float) -> None:
-    low, high = sorted((first, second))
-    assert compressed(low) <= compressed(high)
-    if high - low > 1e-6 * max(abs(low), abs(high), 1.0):
-        assert compressed(low) < compressed(high)
-
-
 # ---------------------------------------------------------------- the detector
 
 
@@ -192,17 +184,6 @@ def test_outlines_are_described_by_extents_level_and_area() -> None:
     assert reported["shadow_length_m"] == pytest.approx(0.6)
     assert reported["highlight_level"] == pytest.approx(math.log(5.0))
     assert reported["highlight_area"] == pytest.approx(math.log(0.17))
-
-
-@given(st.integers(4, 20), st.integers(-2, 2))
-def test_straight_edges_neither_bend_nor_jump_however_they_slant(n_rows: int, slant: int) -> None:
-    near = [(45 if slant < 0 else 5) + slant * row for row in range(n_rows)]
-    contours = no_contours(
-        shadow=outline(near, [column + 8 for column in near]), highlight=outline(near, [60] * n_rows)
-    )
-    reported = outline_features(contours, bare_floor())
-    for name in ("highlight_front_bend_m", "shadow_end_bend_m", "shadow_front_roughness_m"):
-        assert reported[name] == pytest.approx(0.0, abs=1e-9), name
 
 
 def test_bends_and_jumps_are_those_of_a_polynomial_fit() -> None:

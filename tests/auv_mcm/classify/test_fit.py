@@ -15,6 +15,7 @@ from auv_mcm.confirm.region import Region
 from auv_mcm.kernels.shape import FIRST_FIELD, Solid, solid_of
 from auv_mcm.solids.shapes import Cylinder, Shape, Sphere, TruncatedCone, Wedge
 from tests.auv_mcm.classify.closed_forms import closed_form_region
+from tests.make.random_numbers import generator
 from tests.make.rendered_solids import CORRELATION_AREA, best_class, draw_object
 
 SHAPES: dict[Solid, Shape] = {
@@ -24,10 +25,6 @@ SHAPES: dict[Solid, Shape] = {
     "wedge": Wedge(length_m=1.02, width_m=0.8, height_m=0.385, azimuth_rad=1.2),
 }
 SMALL = Effort(200, 5, 12, 6, 2, 10, 6)
-
-
-def random_numbers(seed: int) -> np.random.Generator:
-    return np.random.Generator(np.random.PCG64(seed))
 
 
 def of(fits: ShapeFits, solid: Solid) -> ShapeFit:
@@ -58,7 +55,7 @@ def test_classes_of_speckled_pictures_of_the_closed_forms(n_runs: Callable[[int,
     right: Counter[bool] = Counter()
     for seed in range(n_runs(16, 4)):
         solid = SOLIDS[seed % 4]
-        random = random_numbers(seed)
+        random = generator(seed)
         region = closed_form_region(SHAPES[solid], float(random.uniform(12.0, 38.0)), random=random)
         right[fit_shapes(region, None, 1.0).fits[0].solid == solid] += 1
     assert right[False] <= 1
@@ -80,7 +77,7 @@ def test_classes_of_simulated_regions_alone_and_in_pairs(n_runs: Callable[[int, 
 def test_uncertainty_says_how_far_off_sizes_are(n_runs: Callable[[int, int], int]) -> None:
     pulls = []
     for seed in range(n_runs(8, 3)):
-        random = random_numbers(40 + seed)
+        random = generator(40 + seed)
         fit = of(
             fit_shapes(closed_form_region(SHAPES["truncated_cone"], 20.0, random=random), None, 1.0), "truncated_cone"
         )
@@ -92,7 +89,7 @@ def test_uncertainty_says_how_far_off_sizes_are(n_runs: Callable[[int, int], int
 
 
 def test_a_half_buried_sphere_is_found_buried() -> None:
-    region = closed_form_region(Sphere(radius_m=0.45, burial_m=0.2), 18.0, random=random_numbers(7))
+    region = closed_form_region(Sphere(radius_m=0.45, burial_m=0.2), 18.0, random=generator(7))
     fit = of(fit_shapes(region, None, 1.0), "sphere")
     assert isinstance(fit.best.shape, Sphere)
     assert fit.best.shape.burial_m == pytest.approx(0.2, abs=0.1)
@@ -116,7 +113,7 @@ def test_an_altitude_reported_too_high_is_noticed_and_not_taken_for_size() -> No
 
 
 def test_a_far_better_contour_makes_it_clutter_without_refinement() -> None:
-    region = closed_form_region(SHAPES["sphere"], 20.0, random=random_numbers(1))
+    region = closed_form_region(SHAPES["sphere"], 20.0, random=generator(1))
     plain = fit_shapes(region, None, 1.0)
     lowest = plain.fits[0].best.cost
     beaten, close = fit_shapes(region, lowest - 200.0, 1.0), fit_shapes(region, lowest - 20.0, 1.0)
@@ -130,7 +127,7 @@ def test_a_far_better_contour_makes_it_clutter_without_refinement() -> None:
 
 def test_a_cylinder_seen_end_on_keeps_a_second_optimum() -> None:
     region = closed_form_region(
-        Cylinder(radius_m=0.265, length_m=1.6, azimuth_rad=0.5 * math.pi), 15.0, random=random_numbers(2)
+        Cylinder(radius_m=0.265, length_m=1.6, azimuth_rad=0.5 * math.pi), 15.0, random=generator(2)
     )
     fit = of(fit_shapes(region, None, 1.0), "cylinder")
     assert fit.second is not None
@@ -161,7 +158,7 @@ def test_squinted_views_give_azimuth_and_place_of_the_object(squint: float) -> N
 
 
 def test_an_object_mirrored_along_the_track_is_the_same_object_mirrored() -> None:
-    region = closed_form_region(SHAPES["cylinder"], 20.0, random=random_numbers(4))
+    region = closed_form_region(SHAPES["cylinder"], 20.0, random=generator(4))
     mirrored = msgspec.structs.replace(region, intensity=region.intensity[::-1], row=61.0 - region.row)
     thorough = Effort(1280, 14, 24, 8, 4, 28, 10)  # starts are not mirrored: what the search leaves open differs
     here, there = (of(fit_shapes(view, None, 1.0, effort=thorough), "cylinder") for view in (region, mirrored))
@@ -199,7 +196,7 @@ def test_nothing_measured_is_no_data_and_a_bare_floor_fits_nothing() -> None:
 
 
 def test_a_shadow_that_leaves_the_region_is_flagged() -> None:
-    region = closed_form_region(SHAPES["sphere"], 30.0, random=random_numbers(5))
+    region = closed_form_region(SHAPES["sphere"], 30.0, random=generator(5))
     short: Region = msgspec.structs.replace(region, intensity=region.intensity[:, :75], valid=region.valid[:, :75])
     assert "cut_off" in of(fit_shapes(short, None, 1.0), "sphere").flags
 

@@ -156,27 +156,6 @@ def test_views_without_evidence_stay_at_the_prior_however_many(directions: list[
     assert odds(fuse(seen, prior)) == pytest.approx(prior, abs=1e-6)
 
 
-@settings(max_examples=30)
-@given(st.floats(-5.0, 5.0), st.floats(40.0, 180.0))
-def test_a_view_of_the_same_kind_from_another_side_sharpens_and_the_same_again_hardly(
-    log_ratio: float, apart_deg: float
-) -> None:
-    one = looked_at(log_ratio, 0.0, kind_nats=ONE_KIND)
-    alone = odds(fuse([one], PRIOR))
-    beside = odds(fuse([one, looked_at(log_ratio, apart_deg, 1.0, kind_nats=ONE_KIND)], PRIOR))
-    again = odds(fuse([one, looked_at(log_ratio, 0.5, 1.0, kind_nats=ONE_KIND)], PRIOR))
-    assert 0.9 * SAME < beside - alone <= SAME + 1e-6
-    assert abs(again - alone) < 0.1 * SAME
-
-
-def test_turning_on_from_the_first_view_the_second_counts_for_ever_more() -> None:
-    seen = [looked_at(2.0, 350.0 + apart, apart, kind_nats=ONE_KIND) for apart in (0.0, 2.0, 5.0, 10.0, 20.0, 90.0)]
-    turned = [odds(fuse([looked_at(2.0, 350.0, -1.0, kind_nats=ONE_KIND), one], PRIOR)) for one in seen]
-    assert turned == sorted(turned)
-    assert turned[0] == pytest.approx(PRIOR + 2.0, abs=0.05)
-    assert turned[-1] == pytest.approx(PRIOR + 2.0 + SAME, abs=0.05)
-
-
 def test_what_looks_like_a_mine_of_another_kind_from_each_side_is_less_likely_one() -> None:
     """As a stone does."""
     one = looked_at(4.0, 10.0, kind_nats=ONE_KIND)

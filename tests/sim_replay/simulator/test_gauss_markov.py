@@ -10,14 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sim_replay.simulator.gauss_markov import DAMPING, GaussMarkov
+from tests.make.random_numbers import generator
 
 PERIOD_S = 4.0
 OMEGA = 2.0 * math.pi / PERIOD_S
 N = 2000
-
-
-def generator(seed: int) -> np.random.Generator:
-    return np.random.Generator(np.random.PCG64(seed))
 
 
 def correlation(lag_s: float) -> float:

@@ -10,12 +10,9 @@ from numpy.typing import NDArray
 
 from sim_replay.fitting.cascade import trees
 from sim_replay.fitting.cascade.trees import N_LEAVES, GrownTree, boost, leaves
+from tests.make.random_numbers import generator
 
 Array = NDArray[np.float64]
-
-
-def random_of(seed: int) -> np.random.Generator:
-    return np.random.Generator(np.random.PCG64(seed))
 
 
 def walked(tree: GrownTree, row: Array) -> int:
@@ -39,7 +36,7 @@ def bump(n: int, seed: int) -> tuple[Array, NDArray[np.bool_]]:
     """Targets where one feature is middling and another high: no sum of them separates, splits do. Two more features
     are noise.
     """
-    random = random_of(seed)
+    random = generator(seed)
     values = random.normal(0.0, 1.0, (n, 4))
     p = np.where((np.abs(values[:, 0]) < 0.7) & (values[:, 1] > 0.0), 0.9, 0.1)
     return values, random.random(n) < p
@@ -108,7 +105,7 @@ def test_what_no_sum_separates_is_learnt() -> None:
 @given(st.integers(0, 10_000))
 def test_every_tree_lowers_the_loss_that_it_is_grown_on(seed: int) -> None:
     values, is_target = bump(400, seed)
-    weight = random_of(seed).choice([1.0, 4.0], 400)
+    weight = generator(seed).choice([1.0, 4.0], 400)
     start = np.full(400, -1.0)
     trees = boost(values, is_target, weight, start, 12)
     losses = [log_loss(boosted(trees[:n], values, start), is_target, weight) for n in (0, 4, 8, 12)]
@@ -116,7 +113,7 @@ def test_every_tree_lowers_the_loss_that_it_is_grown_on(seed: int) -> None:
 
 
 def test_what_is_known_already_is_not_learnt_again() -> None:
-    random = random_of(3)
+    random = generator(3)
     values = random.normal(0.0, 1.0, (4000, 2))
     known = 2.0 * values[:, 0]
     is_target = random.random(4000) < 1.0 / (1.0 + np.exp(-known))
@@ -125,7 +122,7 @@ def test_what_is_known_already_is_not_learnt_again() -> None:
 
 
 def test_noise_teaches_little() -> None:
-    random = random_of(4)
+    random = generator(4)
     values, is_target = random.normal(0.0, 1.0, (4000, 6)), random.random(4000) < 0.3
     start = np.full(4000, np.log(0.3 / 0.7))
     odds = boosted(boost(values, is_target, np.ones(4000), start, 40), random.normal(0.0, 1.0, (4000, 6)), start)
