@@ -19,7 +19,6 @@ from auv_mcm.cli import main
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import Notice
 from auv_mcm.shell.whole_files import write_json
-from tests.auv_mcm.contacts.whole_exports import contacts_kml
 
 ROOT = Path(__file__).resolve().parents[2]
 HOSTILE = "a\x1b[2J\r\nb\x07\x7f\x9b31m\u202egnp.exe\u2066\u2028\ufeff\U000e0041\udc80\ufffe\x00"
@@ -100,9 +99,3 @@ def test_json_for_scripts_holds_the_same_values_without_a_raw_control_character(
     assert all(map(is_clean, text.splitlines()))
     assert json.loads(text) == {"place": HOSTILE.replace("\udc80", "?"), "é": ["±"]}
     assert clean_json('{\n "a": "\U000e0041"\n}') == '{\n "a": "\\udb40\\udc41"\n}'
-
-
-def test_kml_stays_valid_whatever_the_name_of_the_mission() -> None:
-    document = ElementTree.fromstring(contacts_kml([], HOSTILE + "<&>"))
-    name = document.findtext(".//{http://www.opengis.net/kml/2.2}name")
-    assert name == clean(HOSTILE) + "<&>"

@@ -50,12 +50,6 @@ expectations:
 URIS = {"sonar": "serial:///ports/sonar?baud=115200", "nav": "serial:///ports/nav?baud=9600"}
 
 
-def test_a_sound_scenario_is_read() -> None:
-    scenario = parse_scenario(SOUND, "here")
-    assert list(scenario.devices) == ["sonar", "nav"]
-    assert scenario.devices["nav"].faults[0].for_s == 2.0
-
-
 def test_the_service_gets_the_devices_addresses_and_a_folder_for_its_results(tmp_path: Path) -> None:
     scenario = parse_scenario(SOUND, "here")
     config = parse_config(service_yaml(scenario, URIS, tmp_path / "results"), "service.yaml")
@@ -286,13 +280,6 @@ expectations:
   - {test: it ends, expected: {is: exit_code}}
   - {test: it is reported, expected: {is: told_in_time, device: vehicle, within_s: 1, min_p_mine: 0.2}}
 """
-
-
-def test_a_scenario_with_a_vehicle_is_read() -> None:
-    scenario = parse_scenario(FLOWN, "here")
-    assert scenario.vehicle == "vehicle"
-    assert scenario.devices["vehicle"].faults[0].after == "grant"
-    assert parse_scenario(SOUND, "here").vehicle is None
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from auv_mcm.classify.beliefs import EVERYTHING, subset, vacuous
-from auv_mcm.classify.fusion import AGREEMENT_NATS
 from auv_mcm.contacts.ledger import Ledger
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import NAN, Confirmation, Contact, ContactClass, Detection, ShapeModel
@@ -134,13 +133,6 @@ def test_views_before_and_after_a_turn_join_though_they_become_final_together(tu
     )
     assert before == len(together.contacts) == 2
     assert objects_in(together.contacts) == [{1.0}, {2.0}]
-
-
-def test_the_same_leg_again_is_another_look() -> None:
-    book = ledger()
-    book.add([view(0.0, 0.0, 100.0)])
-    book.add([view(0.3, 0.0, 2000.0)])
-    assert [len(c.views) for c in book.contacts] == [2]
 
 
 def test_a_later_look_is_another_one_though_the_clock_was_set_back_to_the_first() -> None:
@@ -290,26 +282,6 @@ def test_covariances_configured_to_nothing_or_to_everything_break_nothing(sigma_
     assert len(contact.views) == 2
     assert np.isfinite(contact.covariance_m2).all()
     assert np.hypot(*(place(contact) - [0.0025, 0.0])) < 1e-3
-
-
-def test_views_of_one_kind_from_other_directions_add_evidence_and_views_from_the_same_do_not() -> None:
-    def fused(aspect_deg: float, p_mine: float = 0.7, kind_nats: tuple[float, ...] = (0.0, -50.0)) -> float:
-        book = ledger()
-        book.add([view(0.0, 0.0, 100.0, p_mine=0.7, aspect_deg=10.0, kind_nats=(0.0, -50.0))])
-        turned: dict[str, Any] = {"heading_rad": math.pi, "aspect_deg": aspect_deg, "kind_nats": kind_nats}
-        (contact,) = book.add([view(0.0, 0.0, 900.0, p_mine=p_mine, **turned)])
-        return contact.p_mine
-
-    def probability(odds: float) -> float:
-        return 1.0 / (1.0 + math.exp(-odds))
-
-    both = probability(math.log(0.7 / 0.3) + AGREEMENT_NATS[0])
-    assert [fused(100.0), fused(190.0), fused(100.0, 0.3)] == pytest.approx([both] * 3, abs=1e-3)
-    assert fused(10.0) == pytest.approx(0.7, abs=1e-3)
-    across_north = [fused(aspect) for aspect in (8.0, 3.0, 358.0)]
-    assert 0.7 < across_north[0] < across_north[1] < across_north[2] < both
-    assert fused(100.0, kind_nats=()) == pytest.approx(0.7, abs=1e-3)
-    assert fused(100.0, kind_nats=(-50.0, 0.0)) < 0.15
 
 
 def test_one_view_is_reported_as_it_is() -> None:

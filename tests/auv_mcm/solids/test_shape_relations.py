@@ -234,16 +234,6 @@ def test_burial_cuts_what_is_below_the_floor(
     )
 
 
-def test_what_lies_wholly_below_the_floor_is_not_seen() -> None:
-    for shape in (
-        Sphere(radius_m=0.3, burial_m=0.7),
-        Cylinder(radius_m=0.3, length_m=1.0, burial_m=0.7),
-        TruncatedCone(base_radius_m=0.5, top_radius_m=0.2, height_m=0.4, burial_m=0.5),
-        Box(length_m=1.0, width_m=1.0, height_m=0.4, burial_m=0.5),
-    ):
-        assert np.isnan(view_shape(shape, [0.0, 0.1], 10.0, 5.0)).all()
-
-
 @EVERY_SOLID
 def test_hypotheses_broadcast_against_pings(kind: str) -> None:
     altitude, offset = np.array([5.0, 6.0, 7.0, 8.0]), np.array([-0.1, 0.0, 0.05, 40.0])

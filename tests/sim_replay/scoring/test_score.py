@@ -241,16 +241,6 @@ def test_position_errors_are_contact_less_truth() -> None:
     assert found.total_m.p95_absolute == pytest.approx(np.quantile([0.5, 1.0, 0.3], 0.95), abs=1e-4)
 
 
-def test_errors_of_honest_contacts_are_rayleigh_in_their_sigmas() -> None:
-    random = np.random.Generator(np.random.PCG64(5))
-    objects = [truth_object(30.0 * index, 0.0) for index in range(400)]
-    errors = random.normal(0.0, 0.5, (400, 2)).tolist()
-    contacts = [contact(30.0 * index + east_m, north_m, sigma_m=0.5) for index, (east_m, north_m) in enumerate(errors)]
-    found = scored(contacts, objects).position_errors.in_sigmas
-    assert found.median == pytest.approx(math.sqrt(2.0 * math.log(2.0)), rel=0.06)
-    assert found.p95_absolute == pytest.approx(math.sqrt(2.0 * math.log(20.0)), rel=0.06)
-
-
 def test_size_errors_take_the_height_above_the_floor_and_skip_what_is_not_stated() -> None:
     sizes: dict[str, Any] = {"length_m": 2.0, "width_m": 0.5, "height_m": 0.5, "burial_m": 0.2}
     contacts = [

@@ -120,10 +120,6 @@ def test_bootstrap_needs_three_missions() -> None:
     assert score_missions(missions).bootstrap is not None
 
 
-def test_bootstrap_repeats_to_the_last_bit() -> None:
-    assert score_missions([random_mission(seed) for seed in range(4)]).bootstrap == pooled().bootstrap
-
-
 def test_bootstrap_of_equal_missions_knows_no_spread() -> None:
     """At the usual threshold, and at the first limit, exactly: both count."""
     contacts = [contact(50.0 * number, 0.0, 0.5) for number in range(6)]

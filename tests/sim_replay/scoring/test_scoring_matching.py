@@ -81,15 +81,6 @@ def test_more_matches_come_before_nearer_ones() -> None:
     assert matched.tolist() == [1, 0]
 
 
-def test_weak_contact_that_lies_nearer_takes_no_object_from_a_strong_one_until_it_is_called() -> None:
-    distance_m = laid_out([(1.0, 0.0), (0.1, 0.0)], [(0.0, 0.0)])
-    steps = {
-        threshold: matched.tolist()
-        for threshold, matched in match_by_threshold(distance_m <= 2.0, distance_m, np.array([0.9, 0.2]))
-    }
-    assert steps == {0.9: [0, -1], 0.2: [-1, 0]}
-
-
 def test_of_equal_matchings_the_one_before_stays() -> None:
     distance_m = laid_out([(1.0, 0.0), (3.0, 2.0), (2.0, 1.0)], [(1.0, 2.0), (2.0, 1.0)])
     steps = list(match_by_threshold(distance_m <= 1.5, distance_m, np.array([0.75, 0.75, 0.5])))

@@ -78,10 +78,6 @@ def same(events: Sequence[NavSample | Ping], others: Sequence[NavSample | Ping])
     return [facts(event) for event in events] == [facts(event) for event in others]
 
 
-def test_without_faults_events_pass_as_they_are() -> None:
-    assert same(list(with_faults(mission(), (), RECORDER)), list(mission()))
-
-
 def test_navigation_after_the_last_ping_passes_too() -> None:
     last = NavSample(time_s=500.0)
     fault = Fault(kind="gap", at_ping=3)
