@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Any, Final, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim_replay.logs.port_order import DECISIVE, port_order_evidence
+
+SampleType: TypeAlias = Literal["uint8", "uint16", "float32"]
 
 _SIGNED_OF: Final = {"u1": np.int8, "u2": np.int16, "u4": np.int32}
 _WIDER: Final = 2  # an 8-bit magnitude of -128 needs 9 bits, and so on

@@ -12,7 +12,7 @@ import os
 from collections.abc import Iterable
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Any, Final, Literal, TypeAlias
+from typing import Any, Final
 
 import numpy as np
 import pyxtf
@@ -23,8 +23,7 @@ from auv_mcm.records import NAN, SIDES, EchoTrace, NavSample, Ping, Side
 from auv_mcm.safe_files import replacing
 from sim_replay.logs.xtf_fields import KNOT_MPS
 from sim_replay.logs.xtf_header import LATITUDE_LONGITUDE, PORT, STARBOARD
-
-SampleType: TypeAlias = Literal["uint8", "uint16", "float32"]
+from sim_replay.logs.xtf_samples import SampleType
 
 _SAMPLE_FORMAT: Final[dict[SampleType, int]] = {"uint8": 8, "uint16": 3, "float32": 5}
 _CHANNEL: Final[dict[Side, int]] = {"port": PORT, "starboard": STARBOARD}

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.records import EchoTrace
-from sim_replay.logs.xtf_writer import SampleType
+from sim_replay.logs.xtf_samples import SampleType
 from sim_replay.simulator.scene import SampleRecorder
 
 _USUAL: Final[dict[str, SampleRecorder]] = {

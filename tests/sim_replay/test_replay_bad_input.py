@@ -21,7 +21,8 @@ from auv_mcm.clean_text import is_clean
 from auv_mcm.cli import main
 from auv_mcm.records import EchoTrace, NavSample, Ping
 from auv_mcm.settings.config import Config
-from sim_replay.logs.xtf_writer import SampleType, write_xtf
+from sim_replay.logs.xtf_samples import SampleType
+from sim_replay.logs.xtf_writer import write_xtf
 from sim_replay.results_folder import default_results, is_replayed
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene import Lawnmower, Scene, SceneObject, Sonar, Track

@@ -21,7 +21,8 @@ from sim_replay.augment.line import Change, SampleScatter, measure_line, mixed
 from sim_replay.augment.shadows import shadow_runs
 from sim_replay.augment.targets import EmbeddedTarget, TargetSpec, place_targets
 from sim_replay.augment.track import track_of
-from sim_replay.logs.xtf_writer import SampleType, write_xtf
+from sim_replay.logs.xtf_samples import SampleType
+from sim_replay.logs.xtf_writer import write_xtf
 from sim_replay.simulator.speckle import WHITE, gaussian_taps
 from tests.make.records import nav_of
 

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from auv_mcm.records import EchoTrace, NavSample, Ping
 from auv_mcm.settings.config import Config, SonarConfig
-from sim_replay.logs.xtf_writer import SampleType, write_xtf
+from sim_replay.logs.xtf_samples import SampleType
+from sim_replay.logs.xtf_writer import write_xtf
 from tests.make.records import nav_of
 
 N_SAMPLES = 480

@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 
 from auv_mcm.errors import UsageError
 from auv_mcm.records import SIDES, EchoTrace, NavSample, Ping
-from sim_replay.logs.xtf_writer import SampleType, write_xtf
+from sim_replay.logs.xtf_samples import SampleType
+from sim_replay.logs.xtf_writer import write_xtf
 from tests.sim_replay.logs.xtf_logs import (
     START_S,
     mission,

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from auv_mcm.records import EchoTrace, NavSample, Notice, Ping, SourceEvent
 from auv_mcm.settings.config import SonarConfig
 from sim_replay.logs.xtf import XtfLog
-from sim_replay.logs.xtf_writer import SampleType, write_xtf
+from sim_replay.logs.xtf_samples import SampleType
+from sim_replay.logs.xtf_writer import write_xtf
 from tests.make.records import nav_of
 
 FILE_HEADER = 1024
