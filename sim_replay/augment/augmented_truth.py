@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from auv_mcm.records import SIDES
 from sim_replay.augment.embed import Embedded, EmbeddedView
 from sim_replay.augment.track import SIGN, PingTrack
+from sim_replay.simulator.objects import rise_m
 from sim_replay.simulator.truth import CELL_M
 
 _STEP_M: Final = 0.5 * CELL_M
@@ -70,6 +71,7 @@ def _object(one: Embedded, background: str, seabed: str | None) -> dict[str, Any
         "length_m": scene_object.length_m,
         "width_m": scene_object.width_m,
         "height_m": scene_object.height_m,
+        "rise_m": rise_m(scene_object),
         "burial_m": scene_object.burial_m,
         "tilt_deg": math.degrees(scene_object.tilt_rad),
         "side": first.side,

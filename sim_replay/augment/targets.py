@@ -20,7 +20,7 @@ from auv_mcm.errors import UsageError
 from auv_mcm.records import SIDES, Side
 from auv_mcm.settings.strict_yaml import explain_validation_error, load_mapping, read_text
 from sim_replay.augment.track import PingTrack
-from sim_replay.simulator.objects import BY_WIDTH, USUAL, PlacedObject, solid_sizes
+from sim_replay.simulator.objects import BY_WIDTH, USUAL, PlacedObject, rise_m, shape_seed, solid_sizes
 from sim_replay.simulator.scene import TARGET_KINDS, Tilt
 from sim_replay.simulator.scene_file import HIGHEST_SHARE
 
@@ -255,12 +255,6 @@ def _placement(
     seed: int,
     where: str,
 ) -> Placement:
-    above_m, below_sonar_m = sizes["height_m"] - burial_m, float(track.first_return_m[ping])
-    if above_m > HIGHEST_SHARE * below_sonar_m:
-        raise UsageError(
-            f"`{where}` ({kind}) rises {above_m:.2f} m, more than {HIGHEST_SHARE:g} of the sonar's {below_sonar_m:.2f} "
-            f"m above the floor at ping {track.number[ping]}: take a lower one or a ping from higher up"
-        )
     usual = USUAL[kind]
     east_m, north_m = track.plane_place(ping, side, ground_range_m)
     scene_object = PlacedObject(
@@ -280,6 +274,12 @@ def _placement(
         is_target=is_target,
         seed=seed,
     )
+    above_m, below_sonar_m = rise_m(scene_object), float(track.first_return_m[ping])
+    if above_m > HIGHEST_SHARE * below_sonar_m:
+        raise UsageError(
+            f"`{where}` ({kind}) rises {above_m:.2f} m, more than {HIGHEST_SHARE:g} of the sonar's {below_sonar_m:.2f} "
+            f"m above the floor at ping {track.number[ping]}: take a lower one or a ping from higher up"
+        )
     return Placement(scene_object, ping, side, ground_range_m)
 
 
@@ -332,7 +332,7 @@ def _scattered(
                 contrast_db=contrast,
                 specular_db=USUAL[kind].specular_db,
                 is_target=kind in TARGET_KINDS if group.is_target is None else group.is_target,
-                seed=1000 * (index + 1) + number,
+                seed=shape_seed(seed, index, number),
                 where=where,
             )
         )

@@ -226,13 +226,14 @@ def size_errors(found: Sequence[FoundObject]) -> SizeErrors:
     return SizeErrors(
         length_m=_spread([contact.length_m - _known(truth_object.length_m) for truth_object, contact in hits]),
         width_m=_spread([contact.width_m - _known(truth_object.width_m) for truth_object, contact in hits]),
-        height_m=_spread(
-            [
-                contact.height_m - (_known(truth_object.height_m) - truth_object.burial_m)
-                for truth_object, contact in hits
-            ]
-        ),
+        height_m=_spread([contact.height_m - _rise_m(truth_object) for truth_object, contact in hits]),
     )
+
+
+def _rise_m(truth_object: TruthObject) -> float:
+    if truth_object.rise_m is None:
+        return _known(truth_object.height_m) - truth_object.burial_m
+    return truth_object.rise_m
 
 
 def _detections(found: Sequence[FoundObject]) -> list[tuple[FoundObject, ReportedContact]]:

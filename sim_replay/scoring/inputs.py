@@ -58,6 +58,7 @@ class ObjectPass(msgspec.Struct, frozen=True, kw_only=True):
 class TruthObject(msgspec.Struct, frozen=True, kw_only=True):
     """Hold an object on the sea floor, `burial_m` of its height below it.
 
+    `rise_m` is its height above the floor as it lies there; None if not stated: that of an object that is not tilted.
     `looks` is None if not stated, empty if the sonar never saw it.
     """
 
@@ -69,6 +70,7 @@ class TruthObject(msgspec.Struct, frozen=True, kw_only=True):
     width_m: float | None = None
     height_m: float | None = None
     burial_m: float = 0.0
+    rise_m: float | None = None
     seabed: str | None = None
     looks: tuple[ObjectPass, ...] | None = None
 

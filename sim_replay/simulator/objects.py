@@ -18,6 +18,7 @@ from sim_replay.simulator.scene import TARGET_KINDS, ObjectKind, Scatter, Scene,
 _STREAM: Final = 0x4F424A45  # keeps these random numbers apart from others of the same seed
 _TRIES: Final = 400  # places drawn for one object before there is none left
 _SIZE_EXPONENT: Final = 2.5  # stones longer than d are as many as d^-2.5
+_CONE_SIDES: Final = 24  # of a tilted cone: its radius is within 1 %
 _MOAT_WIDTH: Final = 0.6  # half width of a scour moat, in parts of the object's half sizes
 
 HeightOfFloor: TypeAlias = Callable[[float, float], float]  # m above the datum, of east and north
@@ -203,10 +204,15 @@ def _scattered(
                 strength_db=usual.strength_db if strength is None else strength,
                 specular_db=usual.specular_db,
                 is_target=group.kind in TARGET_KINDS if group.is_target is None else group.is_target,
-                seed=1000 * (index + 1) + number,
+                seed=shape_seed(scene.seed, index, number),
             )
         )
     return placed
+
+
+def shape_seed(seed: int, group: int, number: int) -> int:
+    """Return what the shape of a scattered object is drawn by: no two objects of any two seeds share one."""
+    return int(np.random.SeedSequence([seed, _STREAM, group, number]).generate_state(1)[0])
 
 
 def _tries(
@@ -287,7 +293,7 @@ def _single(scene_object: PlacedObject, base_m: float, material: int) -> Body:
         centre = half_width * cosine + half_length * sine - buried
         reach = math.hypot(half_length, half_width) * 1.01
         return _body(raised, CYLINDER, base_m, (half_width, half_length, centre, sine, cosine), material, reach)
-    if scene_object.kind == "truncated_cone":
+    if scene_object.kind == "truncated_cone" and scene_object.tilt_rad == 0.0:
         return _body(
             scene_object,
             CONE,
@@ -310,10 +316,24 @@ def _single(scene_object: PlacedObject, base_m: float, material: int) -> Body:
 
 
 def _polyhedron(scene_object: PlacedObject, base_m: float, material: int) -> Body:
-    """Build a wedge, box, rock or slab: the hull of its corners, tilted, pushed into the floor."""
+    """Build a wedge, box, rock, slab or tilted cone: the hull of its corners."""
+    corners = _corners(scene_object)
+    planes, n_sides = hull_planes(corners)
+    reach = float(np.hypot(corners[:, 0], corners[:, 1]).max()) + 1e-6
+    return _body(scene_object, POLYHEDRON, base_m, (), material, reach, planes, n_sides)
+
+
+def _corners(scene_object: PlacedObject) -> Floats:
+    """Return (n, 3) corners of a solid with plane sides, tilted and pushed into the floor."""
     half_length, half_width, height = 0.5 * scene_object.length_m, 0.5 * scene_object.width_m, scene_object.height_m
     if scene_object.kind in _STONES:
         corners = _STONES[scene_object.kind](half_length, half_width, height, scene_object.seed)
+    elif scene_object.kind == "truncated_cone":
+        turn = np.arange(_CONE_SIDES) * (2.0 * math.pi / _CONE_SIDES)
+        rings = [(half_width, 0.0), (0.5 * scene_object.top_m, height)]
+        corners = np.concatenate(
+            [np.stack([r * np.cos(turn), r * np.sin(turn), np.full_like(turn, z)], axis=1) for r, z in rings]
+        )
     else:
         corners = np.array(
             [(u * half_length, v * half_width, top * height) for u in (-1, 1) for v in (-1, 1) for top in (0, 1)]
@@ -323,10 +343,18 @@ def _polyhedron(scene_object: PlacedObject, base_m: float, material: int) -> Bod
     sine, cosine = math.sin(scene_object.tilt_rad), math.cos(scene_object.tilt_rad)
     along, up = corners[:, 0] * cosine - corners[:, 2] * sine, corners[:, 0] * sine + corners[:, 2] * cosine
     lowest = 0.0 if scene_object.kind in _STONES else float(up.min())  # a stone is bedded in the floor as it is
-    corners = np.stack([along, corners[:, 1], up - lowest - scene_object.burial_m], axis=1)
-    planes, n_sides = hull_planes(corners)
-    reach = float(np.hypot(corners[:, 0], corners[:, 1]).max()) + 1e-6
-    return _body(scene_object, POLYHEDRON, base_m, (), material, reach, planes, n_sides)
+    return np.stack([along, corners[:, 1], up - lowest - scene_object.burial_m], axis=1)
+
+
+def rise_m(scene_object: PlacedObject) -> float:
+    """Return how far an object rises above the floor that it lies on."""
+    kind, tilt = scene_object.kind, abs(scene_object.tilt_rad)
+    if tilt > 0.0 and kind in _TILTED:
+        return float(_corners(scene_object)[:, 2].max())
+    if kind in ("cylinder", "pipe"):
+        upright_m = scene_object.width_m * math.cos(tilt) + scene_object.length_m * math.sin(tilt)
+        return upright_m - scene_object.burial_m
+    return scene_object.height_m - scene_object.burial_m
 
 
 def hull_planes(corners_m: Floats) -> tuple[Planes, int]:
@@ -378,6 +406,7 @@ def _slab_corners(half_length: float, half_width: float, height: float, seed: in
 
 
 _STONES: Final = {"rock": _rock_corners, "slab": _slab_corners}
+_TILTED: Final = ("truncated_cone", "wedge", "box", *_STONES)  # solids with plane sides once they tilt
 
 
 def _group(scene_object: PlacedObject, floor_m: HeightOfFloor, material: int) -> list[Body]:

@@ -223,11 +223,10 @@ class Sonar(_Section, frozen=True, kw_only=True):
 
     absorption_db_per_km: left out, from the frequency. noise_db: noise floor against the echo of a flat floor of the
     scene's first type midway between its first return and range_m. range_resolution_m: half power; its point-spread
-    function correlates the speckle (0: independent samples). speckle_along_track_m: distance over which speckle, and
-    noise with it, stays correlated from ping to ping, 0 for none; edges then stay sharp along range. looks: averaged
-    per sample. beam_lines: rays that stand for the horizontal
-    beam. ring_down_m: of the transmitter. *_db: level of the echo of the surface, of the other side, and of the bottom
-    by way of the surface, against what the direct echo of the bottom is; left out: none.
+    function correlates the speckle (0: independent samples). speckle_along_track_m: distance over which that of
+    echoes stays correlated from ping to ping, 0 for none. looks: averaged per sample. beam_lines: rays that stand for
+    the horizontal beam. ring_down_m: of the transmitter. *_db: level of the echo of the surface, of the other side, and
+    of the bottom by way of the surface, against what the direct echo of the bottom is; left out: none.
     """
 
     frequency_khz: Frequency = 450.0

@@ -32,13 +32,14 @@ from sim_replay.simulator.recording import complete, record
 from sim_replay.simulator.render import Lines, render_pings
 from sim_replay.simulator.scene import Scene, Sonar
 from sim_replay.simulator.scene_file import check_scene
-from sim_replay.simulator.speckle import band_limited_rows, gaussian_taps, row_keys, speckle_rows
+from sim_replay.simulator.speckle import gaussian_taps, lasting_rows, row_keys, speckle_rows
 from sim_replay.simulator.vehicle import SonarPose
 from sim_replay.simulator.world import SimulatedFloor
 
 Floats = NDArray[np.float64]
 
 _PORT_STREAM, _STARBOARD_STREAM = 0, 1 << 32
+_NOISE_STREAMS: Final = 1 << 31  # beyond those of echoes that are correlated along the track
 
 
 class Sea:
@@ -163,9 +164,9 @@ class Sea:
 
         It is in units of `reference`, port first.
         """
-        energy = (self.mean_intensity(poses) + self.noise) * (1.0 / self.reference)
+        signal = self.mean_intensity(poses) * (1.0 / self.reference)
         sides = [
-            self._speckled(energy[:, side], stream, first_number)
+            self._speckled(signal[:, side], stream, first_number)
             for side, stream in enumerate((_PORT_STREAM, _STARBOARD_STREAM))
         ]
         return np.stack(sides, axis=1)
@@ -199,18 +200,15 @@ class Sea:
             for index, pose in enumerate(poses)
         ]
 
-    def _speckled(self, energy: Floats, stream: int, first_number: int) -> NDArray[np.float32]:
-        sonar, track = self.sonar, self.scene.track
-        n_pings, n_bins = energy.shape
+    def _speckled(self, signal: Floats, stream: int, first_number: int) -> NDArray[np.float32]:
+        """Return speckled intensity with noise of one side; signal: (n_pings, n_samples) in units of `reference`."""
+        sonar, seed, noise = self.sonar, self.scene.seed, self.noise / self.reference
         streams = range(stream, stream + sonar.looks)
         if sonar.speckle_along_track_m == 0.0:
-            return speckle_rows(energy, row_keys(self.scene.seed, streams, first_number, n_pings), self._taps)
-        along = gaussian_taps(sonar.speckle_along_track_m * sonar.ping_rate_hz / track.speed_mps)
-        total = np.zeros((n_pings, n_bins))
-        for look in streams:
-            field = band_limited_rows(self.scene.seed, look, first_number, n_pings, n_bins, along, self._taps)
-            total += field.real.astype(np.float64) ** 2 + field.imag.astype(np.float64) ** 2
-        return np.asarray(energy * total / sonar.looks, dtype=np.float32)
+            return speckle_rows(signal + noise, row_keys(seed, streams, first_number, len(signal)), self._taps)
+        along = gaussian_taps(sonar.speckle_along_track_m * sonar.ping_rate_hz / self.scene.track.speed_mps)
+        of_looks = [(look, look + _NOISE_STREAMS) for look in streams]
+        return lasting_rows(signal, noise, seed, of_looks, first_number, along, self._taps)
 
     def _bodies_near(self, fan: rays.Fan) -> Bodies:
         far_east, far_north = fan.east_m + fan.n_nodes * fan.step_east_m, fan.north_m + fan.n_nodes * fan.step_north_m

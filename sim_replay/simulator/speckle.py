@@ -199,6 +199,52 @@ def band_limited_rows(
     return field.view(np.complex64)
 
 
+def lasting_rows(
+    signal: NDArray[np.float64],
+    noise: float,
+    seed: int,
+    streams: Sequence[tuple[int, int]],
+    first_row: int,
+    row_taps: Float32s,
+    taps: Float32s = WHITE,
+) -> Float32s:
+    """Return speckled intensity whose echoes are correlated from row to row, and whose noise is not.
+
+    The field is h * (sqrt(signal) v + sqrt(noise) w): v is white along columns and filtered along rows, w is white.
+
+    Parameters
+    ----------
+    signal
+        (n_rows, n_columns) float64, mean intensity of echoes per bin; beyond either end the last bin's value goes on.
+    noise
+        Mean intensity of noise.
+    streams
+        Of v and of w, a pair per look; the mean over looks is taken.
+    row_taps, taps
+        Of rows, and h, as in speckle_rows.
+
+    Returns (n_rows, n_columns) float32. Raises ValueError as band_limited_rows does.
+    """
+    n_rows, n_columns = signal.shape
+    row_taps, taps = _checked_taps(row_taps), _checked_taps(taps)
+    half = taps.size // 2
+    n_drawn = n_columns + 2 * half
+    reach = np.clip(np.arange(-half, n_columns + half), 0, n_columns - 1)
+    amplitude = np.sqrt(signal).astype(np.float32)[:, reach]
+    hiss = np.float32(math.sqrt(noise))
+    total = np.zeros(signal.shape, dtype=np.float32)
+    for of_echo, of_noise in streams:
+        field = band_limited_rows(seed, of_echo, first_row, n_rows, n_drawn, row_taps, WHITE)
+        field *= amplitude
+        field += hiss * white_rows(row_keys(seed, [of_noise], first_row, n_rows)[0], n_drawn)
+        for rows in _blocks(n_rows, n_columns):
+            parts = field[rows].view(np.float32)
+            spread = _mixed(_window_of_columns(parts, 2 * n_columns, step=2), taps)
+            total[rows] += spread[:, ::2] ** 2 + spread[:, 1::2] ** 2
+    total *= np.float32(1.0 / len(streams))
+    return total
+
+
 def gaussian_taps(width: float) -> Float32s:
     """Return a Gaussian point-spread function whose intensity is half at width / 2 from its middle; width in samples.
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_replay.scoring.seabed_map import encode
-from sim_replay.simulator.objects import PlacedObject
+from sim_replay.simulator.objects import PlacedObject, rise_m
 from sim_replay.simulator.plan import local_frame
 from sim_replay.simulator.sea import Sea
 from sim_replay.simulator.vehicle import SonarPose
@@ -157,6 +157,7 @@ def _object(sea: Sea, scene_object: PlacedObject, seabed: str, track: Floats) ->
         "length_m": scene_object.length_m,
         "width_m": scene_object.width_m,
         "height_m": scene_object.height_m,
+        "rise_m": rise_m(scene_object),
         "burial_m": scene_object.burial_m,
         "tilt_deg": math.degrees(scene_object.tilt_rad),
         "strength_db": scene_object.strength_db,

@@ -13,7 +13,7 @@ from scipy.spatial import ConvexHull
 
 from auv_mcm.errors import UsageError
 from sim_replay.simulator.bodies import body_tops, pack
-from sim_replay.simulator.objects import USUAL, PlacedObject, bodies_of, hull_planes, place_objects, points_of
+from sim_replay.simulator.objects import USUAL, PlacedObject, bodies_of, hull_planes, place_objects, points_of, rise_m
 from sim_replay.simulator.plan import planned_legs
 from sim_replay.simulator.scene import Lawnmower, ObjectKind, Scatter, Scene, SceneObject, Track
 
@@ -57,6 +57,21 @@ def test_a_tilted_cylinder_rests_on_its_lower_end() -> None:
     raised = 2.0 * math.sin(math.radians(30.0)) + 0.53 * math.cos(math.radians(30.0))
     assert highest_m(scene_object) == pytest.approx(raised, abs=0.03)
     assert highest_m(named(kind="cylinder", tilt_deg=-30.0)) == pytest.approx(raised, abs=0.03)
+
+
+@pytest.mark.parametrize("tilt_deg", [-20.0, 0.0, 12.0])
+@pytest.mark.parametrize("kind", ["cylinder", "truncated_cone", "wedge", "box", "rock", "slab", "pipe"])
+def test_an_object_rises_as_far_as_stated_however_it_is_tilted(kind: ObjectKind, tilt_deg: float) -> None:
+    scene_object = named(kind=kind, tilt_deg=tilt_deg, burial_m=0.05)
+    assert highest_m(scene_object) == pytest.approx(rise_m(scene_object), abs=0.03)
+
+
+def test_a_tilted_cone_raises_the_end_towards_its_azimuth() -> None:
+    (body,) = bodies_of(named(kind="truncated_cone", tilt_deg=10.0), lambda east, north: 0.0, 0)
+    packed, tilt = pack([body]), math.radians(10.0)
+    aft, fore = body_tops(packed.table[0], packed.planes, np.array([-0.15, 0.15]), np.zeros(2))[0]
+    assert fore - aft == pytest.approx(0.3 * math.tan(tilt), rel=1e-6)
+    assert 0.5 * (fore + aft) == pytest.approx(0.49 * math.sin(tilt) + 0.47 / math.cos(tilt), rel=0.01)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -148,6 +163,8 @@ def test_the_same_seed_scatters_the_same_objects_and_another_seed_others() -> No
     group = Scatter(kind="rock", count=5)
     assert scattered(group, seed=4) == scattered(group, seed=4)
     assert scattered(group, seed=4) != scattered(group, seed=5)
+    shapes = {one.seed for seed in (4, 5) for one in scattered(group, group, seed=seed)}
+    assert len(shapes) == 20
 
 
 def test_natural_sizes_follow_the_power_law() -> None:

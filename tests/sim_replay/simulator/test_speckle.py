@@ -19,6 +19,7 @@ from sim_replay.simulator.speckle import (
     WHITE,
     band_limited_rows,
     gaussian_taps,
+    lasting_rows,
     low_pass_taps,
     normal_table,
     row_keys,
@@ -125,6 +126,28 @@ def test_field_follows_the_definition() -> None:
             for i, j in np.ndindex(row_taps.size, column_taps.size)
         )
         assert abs(field[row, column] - expected) < 1e-5
+
+
+def test_lasting_rows_follow_the_definition() -> None:
+    signal = np.array([[1.0, 4.0, 0.0, 9.0], [2.0, 0.5, 3.0, 0.0]])
+    row_taps, taps, noise = gaussian_taps(1.0), gaussian_taps(0.7), 0.25
+    along, across = row_taps.size // 2, taps.size // 2
+    intensity = lasting_rows(signal, noise, 5, [(6, 16), (7, 17)], -2, row_taps, taps)
+    for row, column in np.ndindex(2, 4):
+        expected = 0.0
+        for of_echo, of_noise in ((6, 16), (7, 17)):
+            field = 0j
+            for j in range(taps.size):
+                place = column + j
+                level = signal[row, min(max(place - across, 0), 3)]
+                echo = sum(
+                    float(row_taps[i]) * plain_sample(plain_key(5, of_echo, -2 + row + i - along), place)
+                    for i in range(row_taps.size)
+                )
+                hiss = plain_sample(plain_key(5, of_noise, -2 + row), place)
+                field += float(taps[j]) * (math.sqrt(level) * echo + math.sqrt(noise) * hiss)
+            expected += 0.5 * abs(field) ** 2
+        assert intensity[row, column] == pytest.approx(expected, rel=1e-4)
 
 
 @needs_c
