@@ -11,7 +11,8 @@ the prices of a computer.
 A look is the verifier's opinion, and the examination that one in four goes on to; an examination without a verifier.
 
 A stage gets nothing before all work of the stage before it is paid. The windows of a smaller budget are therefore among
-those of a larger one, and so are the looks: whatever is done with a smaller budget is done with a larger one as well.
+those of a larger one, and so are the looks, but for a detection that others, found with the larger budget in the tile
+before, crowd below the odds that a look takes.
 """
 
 from __future__ import annotations

@@ -17,7 +17,8 @@ WIDE static void add_beside(int64_t n_rows, int64_t n_columns, const double *res
         double *restrict into = beside + row * n_columns, *restrict far = across + row * n_columns;
         for (int64_t k = 1; k < n_columns - 1; k++)
             into[k] = from[k - 1] + from[k + 1];
-        into[0] = n_columns > 1 ? from[1] : 0.0;
+        if (n_columns > 0)
+            into[0] = n_columns > 1 ? from[1] : 0.0;
         if (n_columns > 1)
             into[n_columns - 1] = from[n_columns - 2];
         for (int64_t k = 0; k < n_columns; k++)
