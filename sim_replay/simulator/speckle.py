@@ -211,6 +211,7 @@ def lasting_rows(
     """Return speckled intensity whose echoes are correlated from row to row, and whose noise is not.
 
     The field is h * (sqrt(signal) v + sqrt(noise) w): v is white along columns and filtered along rows, w is white.
+    Returns (n_rows, n_columns) float32. Raises ValueError as band_limited_rows does.
 
     Parameters
     ----------
@@ -222,8 +223,6 @@ def lasting_rows(
         Of v and of w, a pair per look; the mean over looks is taken.
     row_taps, taps
         Of rows, and h, as in speckle_rows.
-
-    Returns (n_rows, n_columns) float32. Raises ValueError as band_limited_rows does.
     """
     n_rows, n_columns = signal.shape
     row_taps, taps = _checked_taps(row_taps), _checked_taps(taps)
