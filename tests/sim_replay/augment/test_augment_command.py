@@ -53,6 +53,7 @@ def test_the_truth_names_every_object_where_it_lies(log: Path, tmp_path: Path) -
     facts = json.loads(done.truth.read_text())["objects"][0]
     assert facts["azimuth_deg"] == pytest.approx(75.0)
     assert facts["burial_m"] == 0.1
+    assert facts["rise_m"] == pytest.approx(0.43)
     assert (facts["side"], facts["ping"], facts["ground_range_m"]) == ("starboard", 80, 12.0)
     assert facts["background"] == "plain.xtf"
     assert facts["seabed"] == "sand"

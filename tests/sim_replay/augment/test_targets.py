@@ -73,6 +73,7 @@ def test_a_spec_that_is_not_there_is_refused(tmp_path: Path) -> None:
         ("ping: 4000, ground_range_m: 10", f"usable pings 0 to {N_PINGS - 1}"),
         ("along_m: 900, ground_range_m: 10", "the log's track is"),
         ("ping: 80, ground_range_m: 10, height_m: 3.9", "rises 3.90 m"),
+        ("ping: 80, ground_range_m: 10, height_m: 3.5, tilt_deg: 20", "rises 3.67 m"),
     ],
 )
 def test_places_the_log_does_not_show_are_refused_with_the_reason(track: PingTrack, place: str, words: str) -> None:
@@ -125,6 +126,8 @@ def test_scattered_objects_keep_apart_and_clear(track: PingTrack) -> None:
     assert {one.scene_object.is_target for one in found if one.scene_object.kind == "sphere"} == {True}
     assert {one.scene_object.is_target for one in found if one.scene_object.kind == "rock"} == {False}
     assert [one.scene_object for one in placed(text, track)] == [one.scene_object for one in found]
+    others = placed(text.replace("seed: 5", "seed: 6"), track)
+    assert len({one.scene_object.seed for one in (*found[1:], *others[1:])}) == 24
 
 
 def test_scattered_objects_are_even_over_area_and_azimuth(track: PingTrack) -> None:

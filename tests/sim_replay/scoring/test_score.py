@@ -241,8 +241,11 @@ def test_position_errors_are_contact_less_truth() -> None:
     assert found.total_m.p95_absolute == pytest.approx(np.quantile([0.5, 1.0, 0.3], 0.95), abs=1e-4)
 
 
-def test_size_errors_take_the_height_above_the_floor_and_skip_what_is_not_stated() -> None:
-    sizes: dict[str, Any] = {"length_m": 2.0, "width_m": 0.5, "height_m": 0.5, "burial_m": 0.2}
+@pytest.mark.parametrize(("tilted", "error_m"), [({}, 0.05), ({"rise_m": 0.6}, -0.25)])
+def test_size_errors_take_the_height_above_the_floor_and_skip_what_is_not_stated(
+    tilted: dict[str, float], error_m: float
+) -> None:
+    sizes: dict[str, Any] = {"length_m": 2.0, "width_m": 0.5, "height_m": 0.5, "burial_m": 0.2, **tilted}
     contacts = [
         contact(0.0, 0.0, length_m=1.8, width_m=None, height_m=0.35),
         contact(20.0, 0.0, length_m=9.0, height_m=9.0),
@@ -250,7 +253,7 @@ def test_size_errors_take_the_height_above_the_floor_and_skip_what_is_not_stated
     found = scored(contacts, [truth_object(0.0, 0.0, **sizes), truth_object(20.0, 0.0)]).size_errors
     assert (found.length_m.n, found.height_m.n) == (1, 1)
     assert (found.length_m.median, found.length_m.p95_absolute) == pytest.approx((-0.2, 0.2))
-    assert found.height_m.median == pytest.approx(0.05)
+    assert found.height_m.median == pytest.approx(error_m)
     assert (found.width_m.n, found.width_m.median, found.width_m.p95_absolute) == (0, None, None)
 
 

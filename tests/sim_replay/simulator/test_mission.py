@@ -37,7 +37,7 @@ SCENE = Scene(
     track=Track(plan=Lawnmower(heading_deg=75.0, n_legs=2, leg_m=24.0, spacing_m=20.0), altitude_m=4.0),
     objects=(
         SceneObject(kind="cylinder", leg=0, along_m=12.0, across_m=10.0, azimuth_deg=30.0),
-        SceneObject(kind="rock", leg=0, along_m=6.0, across_m=-12.0),
+        SceneObject(kind="rock", leg=0, along_m=6.0, across_m=-12.0, burial_m=0.1),
         SceneObject(kind="sphere", leg=0, along_m=18.0, across_m=0.5),
     ),
 )
@@ -100,6 +100,7 @@ def test_truth_lists_the_objects_places_and_the_passes_that_saw_them(
     for scene_object, place in ((cylinder, leg.at(12.0, 10.0)), (rock, leg.at(6.0, -12.0))):
         assert frame.to_enu(scene_object["lat"], scene_object["lon"], 0.0)[:2] == pytest.approx(place, abs=1e-3)
     assert (cylinder["is_target"], rock["is_target"]) == (True, False)
+    assert rock["rise_m"] == pytest.approx(0.3)
     # The second leg lies 20 m to starboard of the first and runs the other way: the cylinder is 10 m to starboard of
     # both.
     assert [look["side"] for look in cylinder["looks"]] == ["starboard", "starboard"]
