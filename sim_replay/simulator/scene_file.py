@@ -24,7 +24,8 @@ FIERCEST_TEXTURE: Final = 0.1  # a Gamma law of smaller shape is all zeros and s
 HIGHEST_SHARE: Final = 0.8  # of the altitude that an object may be high
 _MOST_ABSORBED_DB: Final = 200.0  # dB to midway and back: beyond the span of any converter, and of 32-bit floats
 _STEEPEST_PITCH_DEG: Final = 80.0  # degrees: beyond, what looks abeam soon looks at no floor at all
-_CORNERED: Final = frozenset({"rock", "slab", "box", "wedge", "boulder_cluster", "debris"})  # their hull needs a size
+_CORNERED: Final = frozenset({"rock", "slab", "box", "wedge", "truncated_cone", "boulder_cluster", "debris"})
+"""Kinds whose hull needs a size; of a cone where it is tilted."""
 _SHIPPED: Final = resources.files("sim_replay") / "scenes"
 
 

@@ -82,6 +82,7 @@ def test_a_plan_is_all_that_a_scene_needs() -> None:
         (PLAN + "objects: [{kind: fish_school, above_m: 5, east_m: 20, north_m: 10}]", "objects[0]", "above_m"),
         (PLAN + "scatter: [{kind: rock, count: 3, ground_range_m: [10, 80]}]", "scatter[0].ground_range_m", "49.6 m"),
         (PLAN + "scatter: [{kind: rock, count: 3, height_m: [0.5, 0.2]}]", "scatter[0].height_m", "lowest comes first"),
+        (PLAN + "objects: [{kind: truncated_cone, height_m: 0, east_m: 1, north_m: 9}]", "objects", "`height_m` is 0"),
         (PLAN + "objects: [{kind: slab, width_m: 0, east_m: 20, north_m: 10}]", "objects[0]", "`width_m` is 0"),
         (PLAN + "scatter: [{kind: box, count: 3, length_m: [0, 1]}]", "scatter[0].length_m", "size above 0"),
         (PLAN + "scatter: [{kind: cylinder, count: 3, width_m: [1, 5]}]", "scatter[0].width_m", "at most 0.8"),
