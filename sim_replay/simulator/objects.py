@@ -211,7 +211,7 @@ def _scattered(
 
 
 def shape_seed(seed: int, group: int, number: int) -> int:
-    """Return what the shape of a scattered object is drawn by: no two objects of any two seeds share one."""
+    """Return what draws the shape of a scattered object, by seed, group and number; from 0 to 2^32 - 1."""
     return int(np.random.SeedSequence([seed, _STREAM, group, number]).generate_state(1)[0])
 
 
