@@ -20,6 +20,7 @@ from sim_replay.augment.background_log import Stretch, Survey
 
 _MARGIN_PINGS: Final = 8  # of sea floor that must have been recorded before and after an object
 _MARGIN_M: Final = 1.5  # the same across the track
+_ABEAM_M: Final = 20.0  # m: ground range of the places to either side that show where abeam is
 _MIN_SPEED_MPS: Final = 0.2  # m/s: keeps the turn per metre finite
 
 Floats: TypeAlias = NDArray[np.float64]
@@ -141,8 +142,7 @@ def heard_at(
 def track_of(survey: Survey, config: Config) -> PingTrack:
     """Compute the track of a log. Raises BadInputError if none of its pings has a position."""
     waterfall = config.waterfall
-    latitude, longitude, _ = _all_heard_at(survey, 0.0, config.sonar)
-    bearing = _all_heard_at(survey, 1.0, config.sonar)[2]
+    latitude, longitude = _all_heard_at(survey, "starboard", 0.0, config.sonar)
     known = np.flatnonzero(np.isfinite(latitude) & np.isfinite(longitude))
     if not known.size:
         raise BadInputError(
@@ -150,6 +150,8 @@ def track_of(survey: Survey, config: Config) -> PingTrack:
         )
     frame = LocalFrame(latitude_deg=float(latitude[known[0]]), longitude_deg=float(longitude[known[0]]))
     enu = frame.to_enu(latitude, longitude, 0.0)
+    port, starboard = (frame.to_enu(*_all_heard_at(survey, side, _ABEAM_M, config.sonar), 0.0) for side in SIDES)
+    across = starboard - port  # pitch and the way made meanwhile move both ahead alike
 
     def joined(name: str) -> Floats:
         return np.concatenate([getattr(stretch, name) for stretch in survey.stretches])
@@ -184,7 +186,7 @@ def track_of(survey: Survey, config: Config) -> PingTrack:
         along_m=joined("along_m"),
         east_m=enu[:, 0],
         north_m=enu[:, 1],
-        heading_rad=bearing - 0.5 * math.pi,
+        heading_rad=np.arctan2(across[:, 0], across[:, 1]) - 0.5 * math.pi,
         first_return_m=height,
         nearest_m=nearest,
         farthest_m=farthest,
@@ -198,10 +200,11 @@ def track_of(survey: Survey, config: Config) -> PingTrack:
     )
 
 
-def _all_heard_at(survey: Survey, ground_range_m: float, sonar: SonarConfig) -> list[Floats]:
-    """Return what `heard_at` does for all pings, to starboard."""
-    parts = [heard_at(each, slice(None), "starboard", ground_range_m, sonar) for each in survey.stretches]
-    return [np.concatenate(columns) for columns in zip(*parts, strict=True)]
+def _all_heard_at(survey: Survey, side: Side, ground_range_m: float, sonar: SonarConfig) -> tuple[Floats, Floats]:
+    """Return latitude and longitude of what `heard_at` gives for all pings."""
+    parts = [heard_at(each, slice(None), side, ground_range_m, sonar)[:2] for each in survey.stretches]
+    latitude, longitude = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+    return latitude, longitude
 
 
 def _reach_m(survey: Survey, stretch: int, side: Side) -> Floats:

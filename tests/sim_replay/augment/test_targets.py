@@ -8,12 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.records import SIDES
 from sim_replay.augment.background_log import read_survey
 from sim_replay.augment.targets import Placement, parse_target_spec, place_targets, read_target_spec
-from sim_replay.augment.track import PingTrack, track_of
+from sim_replay.augment.track import PingTrack, heard_at, track_of
 from tests.sim_replay.augment.plain_logs import ALTITUDE_M, CONFIG, N_PINGS, mission, written
 
 
@@ -173,3 +174,18 @@ def test_looks_find_the_ping_that_a_place_was_made_from(track: PingTrack) -> Non
         assert (abs(ping - 70) <= 1, found_side) == (True, side)
         assert ground_range_m == pytest.approx(9.0, abs=0.05)
     assert track.first_return_m[70] == pytest.approx(ALTITUDE_M, abs=0.15)
+
+
+@pytest.mark.parametrize("pitch_rad", [0.0, 0.25, -0.25])
+def test_a_place_abeam_is_where_the_payload_locates_it_however_the_array_pitches(
+    pitch_rad: float, tmp_path: Path
+) -> None:
+    survey = read_survey(written(tmp_path / "plain.xtf"), CONFIG)
+    (stretch,) = survey.stretches
+    pitched = stretch._replace(poses=replace(stretch.poses, pitch_rad=np.full(stretch.n_pings, pitch_rad)))
+    track = track_of(survey._replace(stretches=(pitched,)), CONFIG)
+    for side in SIDES:
+        for ping, ground_range_m in ((40, 5.0), (80, 15.0)):
+            latitude, longitude, _ = heard_at(pitched, slice(ping, ping + 1), side, ground_range_m, CONFIG.sonar)
+            there = track.frame.to_enu(latitude, longitude, 0.0)[0, :2]
+            assert math.dist(track.plane_place(ping, side, ground_range_m), there) < 0.05
