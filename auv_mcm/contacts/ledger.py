@@ -32,6 +32,9 @@ _SAME_LOOK_S: Final = 30.0
 _SAME_LOOK_M: Final = 300.0  # m of track, 10 m/s for that time: a clock that was set may give it to a later pass
 _SAME_TRACK_M: Final = 10.0  # m of track on which no vehicle comes back on its course: however long it stops, one look
 _SAME_LOOK_RAD: Final = math.radians(45.0)
+# share of the likeliest view's p_mine from which a view counts in full; a quarter does as well, measured
+_WHOLE_SHARE: Final = 0.5
+_LEAST_P: Final = 1e-9  # keeps shares of nothing finite
 _SEARCH_M: Final = 1e-3  # beyond the gate, so that rounding leaves nothing out
 
 
@@ -290,16 +293,19 @@ def contact_from_views(name: str, views: tuple[Detection, ...], prior: float) ->
 
 
 def fused_position(views: tuple[Detection, ...]) -> tuple[float, float, NDArray[np.float64]]:
-    """Average latitude and longitude of views by their inverse covariances.
+    """Average latitude and longitude of views by their inverse covariances, and by their p_mine.
 
-    Sub-apertures of one passage share its navigation: together they count as one view. Returns both in degrees, and
-    their east/north covariance (2, 2), m².
+    A view less than half as likely to show a mine as the likeliest may be of what lies beside it: it counts in
+    proportion. Sub-apertures of one passage share its navigation: together they count as one view. Returns both in
+    degrees, and their east/north covariance (2, 2), m².
     """
     if len(views) == 1:
         return views[0].latitude_deg, views[0].longitude_deg, views[0].covariance_m2
     frame = LocalFrame(latitude_deg=views[0].latitude_deg, longitude_deg=views[0].longitude_deg, height_m=0.0)
     positions = np.array([frame.to_enu(v.latitude_deg, v.longitude_deg, 0.0)[:2] for v in views])
     information = np.linalg.inv(np.array([v.covariance_m2 for v in views]) + MIN_COVARIANCE_M2)
+    p_mine = np.maximum([v.p_mine for v in views], _LEAST_P)
+    information *= np.minimum(p_mine / (_WHOLE_SHARE * p_mine.max()), 1.0)[:, np.newaxis, np.newaxis]
     if any(v.squint_rad != views[0].squint_rad for v in views):
         n_together = [sum(a is b or _beside(a, b) for b in views) for a in views]
         information /= np.array(n_together)[:, np.newaxis, np.newaxis]

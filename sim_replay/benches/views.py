@@ -19,11 +19,12 @@ from numpy.typing import NDArray
 
 from auv_mcm.classify.fusion import fuse
 from auv_mcm.classify.odds import shipped_odds
+from auv_mcm.contacts.ledger import fused_position
 from auv_mcm.detect.belief import odds_of
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Detection
-from sim_replay.benches.experiment import Cell, Column, Experiment, PairedColumn, Task, share
+from sim_replay.benches.experiment import Cell, Column, Experiment, PairedColumn, Task, number, share
 from sim_replay.flights import fly_through
 from sim_replay.missions import FIRST_SEED, config_for
 from sim_replay.scoring.inputs import parse_truth
@@ -44,13 +45,14 @@ class SeenObjects(NamedTuple):
     """Hold the log-odds of a mission's contacts.
 
     mines, rocks: the best on each, _NEVER where there is none. floor: of contacts on no object; others: the best on
-    each object that is no mine.
+    each object that is no mine. off_m: of the best contacts of mines, how far they are from them.
     """
 
     mines: NDArray[np.float64]
     rocks: NDArray[np.float64]
     floor: NDArray[np.float64]
     others: NDArray[np.float64]
+    off_m: NDArray[np.float64]
     area_km2: float
 
 
@@ -84,21 +86,22 @@ def fly(task: Task) -> dict[str, SeenObjects]:
             for is_along in (True, False)
         )
         sorted_views.append((nearest, along, across))
-    kinds = [one.kind if not one.is_target else "mine" for one in truth.objects]
+    kinds = np.array(["mine" if one.is_target else one.kind for one in truth.objects], dtype=np.str_)
     found = {}
     for name, arm in ARMS.items():
-        best = np.full(len(kinds), _NEVER)
+        best, off_m = np.full(len(kinds), _NEVER), np.full(len(kinds), np.nan)
         floor = []
         for nearest, along, across in sorted_views:
             if views := arm(along, across):
                 log_odds = odds_of(fuse(views, prior).p_mine)
                 if nearest < 0:
                     floor.append(log_odds)
-                else:
-                    best[nearest] = max(best[nearest], log_odds)
-        mines, rocks = (best[[kind == wanted for kind in kinds]] for wanted in ("mine", "rock"))
-        others = best[[kind != "mine" for kind in kinds]]
-        found[name] = SeenObjects(mines, rocks, np.array(floor), others[others > _NEVER], float(truth.area_km2 or 0.0))
+                elif log_odds > best[nearest]:
+                    best[nearest] = log_odds
+                    off_m[nearest] = np.hypot(*(objects[nearest] - _place(frame, *fused_position(tuple(views))[:2])))
+        mine, seen, area_km2 = kinds == "mine", best > _NEVER, float(truth.area_km2 or 0.0)
+        others, off_m = best[~mine & seen], off_m[mine & seen]
+        found[name] = SeenObjects(best[mine], best[kinds == "rock"], np.array(floor), others, off_m, area_km2)
     return found
 
 
@@ -109,9 +112,9 @@ def both_ways(scene: Scene) -> list[Leg]:
     legs = list(planned_legs(plan))
     n_across = max(round(plan.leg_m / plan.spacing_m), 1)
     ends_m = (-_REACH_M, (plan.n_legs - 1) * plan.spacing_m + _REACH_M)
-    for number in range(n_across):
-        start_m, end_m = ends_m if number % 2 else ends_m[::-1]
-        along_m = (number + 0.5) * plan.leg_m / n_across
+    for index in range(n_across):
+        start_m, end_m = ends_m if index % 2 else ends_m[::-1]
+        along_m = (index + 0.5) * plan.leg_m / n_across
         direction = legs[0].direction_rad + math.copysign(0.5 * math.pi, end_m - start_m)
         legs.append(Leg(*legs[0].at(along_m, start_m), direction, abs(end_m - start_m)))
     return legs
@@ -165,6 +168,8 @@ EXPERIMENT: Final = Experiment(
         ),
         PairedColumn("more at 100, objects counted", _gain),
         *(Column(f"rocks called at Pd {pd:g}", partial(_rocks_called, pd=pd)) for pd in (0.7, 0.8)),
+        Column("off place, RMS, m", lambda some: number(float(np.sqrt((_pooled(some, "off_m") ** 2).mean())), 2)),
+        Column("95 %, m", lambda some: number(float(np.quantile(_pooled(some, "off_m"), 0.95)), 2)),
     ),
     by_scene=False,
 )

@@ -261,18 +261,19 @@ def _merged(latitude_deg: float, ratio: float, watch: Watch, quick: bool) -> Fou
     offsets[0] = 0.0
     latitude, longitude, _ = frame.to_geodetic(np.column_stack([offsets, np.zeros(n)]))
     covariances = _covariances(ratio, n)
-    views = tuple(
-        _view(lat, lon, covariance)
-        for lat, lon, covariance in zip(latitude.tolist(), longitude.tolist(), covariances, strict=True)
+    shares = [2.0 ** -(k % 8) for k in range(n)]  # of the likeliest view's p_mine
+    views: Any = tuple(
+        SimpleNamespace(latitude_deg=lat, longitude_deg=lon, covariance_m2=one, squint_rad=0.0, p_mine=0.9 * share)
+        for lat, lon, one, share in zip(latitude.tolist(), longitude.tolist(), covariances, shares, strict=True)
     )
     merged = watch(fused_position, views)
     found = LocalFrame(latitude_deg=views[0].latitude_deg, longitude_deg=views[0].longitude_deg).to_enu(
         merged[0], merged[1], 0.0
     )[:2]
     total, moment = [Fraction(0)] * 3, [Fraction(0)] * 2
-    for covariance, (x, y) in zip(covariances, offsets.tolist(), strict=True):
+    for covariance, share, (x, y) in zip(covariances, shares, offsets.tolist(), strict=True):
         (a, b), (_, d) = [[Fraction(v) for v in row] for row in (covariance + MIN_COVARIANCE_M2).tolist()]
-        determinant = a * d - b * b
+        determinant = (a * d - b * b) / Fraction(min(2.0 * share, 1.0))
         p, q, r = d / determinant, -b / determinant, a / determinant
         total = [total[0] + p, total[1] + q, total[2] + r]
         moment = [moment[0] + p * Fraction(x) + q * Fraction(y), moment[1] + q * Fraction(x) + r * Fraction(y)]
@@ -282,11 +283,6 @@ def _merged(latitude_deg: float, ratio: float, watch: Watch, quick: bool) -> Fou
         (total[0] * moment[1] - total[1] * moment[0]) / determinant,
     ]
     return Found(absolute(found.tolist(), wanted), condition=float(np.linalg.cond(covariances[0] + MIN_COVARIANCE_M2)))
-
-
-def _view(latitude_deg: float, longitude_deg: float, covariance: Values) -> Any:
-    place = {"latitude_deg": latitude_deg, "longitude_deg": longitude_deg}
-    return SimpleNamespace(**place, covariance_m2=covariance, squint_rad=0.0)
 
 
 def _assignment(scale: float, watch: Watch, quick: bool) -> Found:

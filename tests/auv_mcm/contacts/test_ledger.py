@@ -201,25 +201,29 @@ def test_a_perfect_match_is_not_given_up_for_two_bad_ones() -> None:
     assert objects_in(book.contacts) == [{1.0}, {9.0}, {3.0}]
 
 
-def two_views(frame: LocalFrame = HOME) -> tuple[Contact, Detection, Detection]:
-    a = view(0.3, -0.2, 100.0, frame=frame, covariance_m2=np.array([[1.0, 0.4], [0.4, 2.0]]))
-    b = view(-0.5, 0.6, 900.0, frame=frame, covariance_m2=np.array([[0.5, -0.2], [-0.2, 0.7]]), **SECOND_LEG)
+def two_views(frame: LocalFrame = HOME, p_b: float = 0.9) -> tuple[Contact, Detection, Detection]:
+    a = view(0.3, -0.2, 100.0, frame=frame, covariance_m2=np.array([[1.0, 0.4], [0.4, 2.0]]), p_mine=0.9)
+    covariance_m2 = np.array([[0.5, -0.2], [-0.2, 0.7]])
+    b = view(-0.5, 0.6, 900.0, frame=frame, covariance_m2=covariance_m2, p_mine=p_b, **SECOND_LEG)
     book = Ledger(ALL_REPORTED)
     book.add([a])
     (contact,) = book.add([b])
     return contact, a, b
 
 
-def test_the_fused_position_is_the_best_linear_estimate_and_surer_than_each_view() -> None:
-    """Against weighted least squares, solved as such."""
-    contact, a, b = two_views()
+@pytest.mark.parametrize("share", [1.0, 0.5, 0.2, 0.01])
+def test_the_fused_position_is_the_best_linear_estimate_and_surer_than_the_likeliest(share: float) -> None:
+    """Against weighted least squares, solved as such; a view less than half as likely a mine counts in proportion."""
+    contact, a, b = two_views(p_b=0.9 * share)
     assert len(contact.views) == 2
-    whitener = np.concatenate([np.linalg.inv(np.linalg.cholesky(d.covariance_m2)) for d in (a, b)])
-    seen = np.concatenate([np.linalg.inv(np.linalg.cholesky(d.covariance_m2)) @ place(d) for d in (a, b)])
+    roots = [np.linalg.inv(np.linalg.cholesky(d.covariance_m2)) for d in (a, b)]
+    roots[1] *= math.sqrt(min(2.0 * share, 1.0))
+    whitener = np.concatenate(roots)
+    seen = np.concatenate([root @ place(d) for root, d in zip(roots, (a, b), strict=True)])
     expected, *_ = np.linalg.lstsq(whitener, seen)
     np.testing.assert_allclose(place(contact), expected, atol=1e-3)
-    np.testing.assert_allclose(contact.covariance_m2, np.linalg.inv(whitener.T @ whitener), rtol=1e-3)
-    for d in (a, b):
+    np.testing.assert_allclose(contact.covariance_m2, np.linalg.inv(whitener.T @ whitener), rtol=1e-3, atol=1e-4)
+    for d in (a, b) if share == 1.0 else (a,):
         assert np.linalg.eigvalsh(d.covariance_m2 - contact.covariance_m2).min() > 0.0
 
 

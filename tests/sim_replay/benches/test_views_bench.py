@@ -59,14 +59,15 @@ def test_legs_across_cover_those_along() -> None:
 
 
 def test_rates_are_of_the_missions_pooled() -> None:
-    mines, rocks, floor = (np.array(each) for each in ([3.0, 1.0, -np.inf], [2.0, -5.0], [0.0, 0.5]))
-    flown = [dict.fromkeys(ARMS, SeenObjects(mines, rocks, floor, rocks, area_km2=0.01))] * 2
+    mines, rocks, floor, off_m = map(np.array, ([3.0, 1.0, -np.inf], [2.0, -5.0], [0.0, 0.5], [0.3, 0.4]))
+    flown = [dict.fromkeys(ARMS, SeenObjects(mines, rocks, floor, rocks, off_m, area_km2=0.01))] * 2
     row = experiment_rows(EXPERIMENT, ["flat", "flat"], flown)[0]
     for title, value in (
         *((f"Pd at {limit} FA/km²", 4 / 6) for limit in (10, 30, 100)),
         *((f"at {limit}, objects counted", 4 / 6) for limit in (100, 300)),
         ("rocks called at Pd 0.7", 1.0),
+        ("off place, RMS, m", 0.05 * 50**0.5),
     ):
         assert row.cells[title].value == pytest.approx(value), title
-    few = [dict.fromkeys(ARMS, SeenObjects(mines, rocks, floor, np.array([3.5] * 2), area_km2=0.01))] * 2
+    few = [dict.fromkeys(ARMS, SeenObjects(mines, rocks, floor, np.array([3.5] * 2), off_m, area_km2=0.01))] * 2
     assert experiment_rows(EXPERIMENT, ["flat"] * 2, few)[0].cells["at 100, objects counted"].value == 0.0
