@@ -29,6 +29,7 @@ from auv_mcm.confirm_tile import confirm_tile
 from auv_mcm.confirmation import confirm_detection, detector_p_mine, opinions_on
 from auv_mcm.contacts.ledger import Contacts, Ledger
 from auv_mcm.contacts.operating_point import CallWatch, OperatingPoint
+from auv_mcm.contacts.repeats import without_repeats
 from auv_mcm.defects import Defect, caught, defect_notice
 from auv_mcm.detect.detect_tile import OVERLAP_M, TileDetections, detect_tile, worth_looking
 from auv_mcm.detect.place_counts import PlaceCounts
@@ -80,6 +81,7 @@ _STATE: Final = (
     "_suppressors",
     "_room",
     "_n_new_samples",
+    "_likely",
     "_ledger",
     "_calls",
     "_places",
@@ -163,6 +165,7 @@ class Pipeline:
         )
         self._asks_network = look is None and self._odds.verifier is not None
         prior = self._odds.prior if config.confirm.enabled else 0.0
+        self._likely: list[Detection] = []  # mines that their passage may show once more
         self._ledger = Ledger(config.contacts, prior, kept)
         self._calls = CallWatch(config.contacts, background)
         self.constants: dict[str, object] = {"config": config, **models._asdict()}
@@ -461,7 +464,9 @@ class Pipeline:
                 self._counts.update(done.counters)
                 final += done.detections
         with self._timed["ledger"]:
-            changed = self._ledger.add(final)
+            once, self._likely = without_repeats(final, self._likely)
+            self._counts["contacts.repeated"] += len(final) - len(once)
+            changed = self._ledger.add(once)
         with self._timed["calls"]:
             events += self._calls.announce(changed, self._ledger.numbered)
         if self._early is not None:

@@ -28,7 +28,7 @@ class Limit(NamedTuple):
 
 
 LINES: Final = {
-    "auv_mcm": Limit(42_820, 35_500),
+    "auv_mcm": Limit(42_900, 35_500),
     "drivers": Limit(18_790, 15_500),
     "sim_replay": Limit(54_430, 42_000),
     "sim_replay/augment": Limit(2_230, 2_400),
@@ -43,7 +43,7 @@ LINES: Final = {
     "sim_replay/scoring": Limit(2_170, 2_200),
     "sim_replay/simulator": Limit(6_640, 6_900),
     "sim_replay/view": Limit(2_650, 2_000),
-    "tests": Limit(84_590, 66_000),
+    "tests": Limit(84_665, 66_000),
 }
 LONG_FUNCTIONS: Final = Limit(5, 5)
 LONG_FILES: Final = Limit(0, 0)

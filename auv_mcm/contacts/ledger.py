@@ -239,15 +239,16 @@ def _same_look(a: Detection, b: Detection, segment_row: float) -> bool:
     if a.squint_rad != b.squint_rad or apart_m >= _SAME_LOOK_M:
         return False
     is_one_track = apart_m < _SAME_TRACK_M and min(a.row, b.row) >= segment_row
-    return _same_passage(a, b) or (is_one_track and _turned_rad(a, b) < _SAME_LOOK_RAD)
+    return same_passage(a, b) or (is_one_track and _turned_rad(a, b) < _SAME_LOOK_RAD)
 
 
 def _beside(a: Detection, b: Detection) -> bool:
     """Check whether two views are of different sub-apertures of one passage."""
-    return a.squint_rad != b.squint_rad and _same_passage(a, b)
+    return a.squint_rad != b.squint_rad and same_passage(a, b)
 
 
-def _same_passage(a: Detection, b: Detection) -> bool:
+def same_passage(a: Detection, b: Detection) -> bool:
+    """Check whether two views are of one passage: what it shows twice may be two objects, but no second look."""
     return abs(a.time_s - b.time_s) < _SAME_LOOK_S and _turned_rad(a, b) < _SAME_LOOK_RAD
 
 

@@ -45,7 +45,7 @@ WORK: Final = frozenset(
             "detect.tile_skipped_nothing_to_see",
         ),
         *("confirm.looked_at", "confirm.rejected", "confirm.odds_too_low", "confirm.ended_at_contours"),
-        *("confirm.ended_at_verifier", "confirm.solids_not_refined", "contacts.too_unlikely"),
+        *("confirm.ended_at_verifier", "confirm.solids_not_refined", "contacts.too_unlikely", "contacts.repeated"),
     }
 )
 """Counters of work done, and of work that could not have changed the answer."""
@@ -64,6 +64,7 @@ MEANINGS: Final = {
     "budget.cheapest_pass_over": "tiles whose cheapest pass is beyond their budget",
     "detect.over_budget": "candidates beyond the limit of a tile, not measured",
     "detect.suppressed": "candidates merged into a stronger one beside them",
+    "contacts.repeated": "detections of a likely mine that their passage had shown more clearly, left out",
     "detect.tile_skipped_nothing_to_see": "tiles without a valid pixel, skipped",
     "detect.without_position": "detections left out because their position is not known",
     "navigation.heading_from_course": "navigation samples without heading: the course over ground stood in for it",

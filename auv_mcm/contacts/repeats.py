@@ -1,0 +1,68 @@
+"""Leave out detections that show once more what their passage has shown as a likely mine.
+
+The two ends of a cylinder may make a detection each, and in a turn the beam crosses an object twice. Suppression works
+in pixels, before anything is known of either: it keeps both where they are apart by more than it joins.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from auv_mcm.classify.beliefs import MINE_LIKE_P
+from auv_mcm.contacts.ledger import same_passage
+from auv_mcm.geometry.geodesy import LocalFrame
+from auv_mcm.records import Detection
+
+# m: the longest mine that is listed. Of 22 mines in 343 that were called twice in 20 missions, 4 are still; by 1 m 13,
+# by 3 m 4. No mine is lost, and no object that is no mine is called for it.
+_ONE_OBJECT_M: Final = 2.0
+_REMEMBERED_S: Final = 30.0  # of a passage, as the ledger has it
+
+
+def without_repeats(
+    detections: Sequence[Detection], before: Sequence[Detection]
+) -> tuple[list[Detection], list[Detection]]:
+    """Leave out what lies within two metres of a likelier mine of the same passage.
+
+    Parameters
+    ----------
+    detections
+        With all confirmation, in any order.
+    before
+        Likely mines that later detections may repeat, as the call before returned them.
+
+    Returns
+    -------
+    kept
+        Those not left out, in the order given.
+    likely
+        Likely mines among them and before, of the last 30 s.
+    """
+    likely = list(before)
+    left_out: set[int] = set()
+    if any(one.p_mine >= MINE_LIKE_P for one in (*detections, *before)):
+        for index, one in sorted(enumerate(detections), key=lambda pair: _likeliest_first(pair[1])):
+            if any(_repeats(one, other) for other in likely):
+                left_out.add(index)
+            elif one.p_mine >= MINE_LIKE_P:
+                likely.append(one)
+    kept = [one for index, one in enumerate(detections) if index not in left_out]
+    newest_s = max((one.time_s for one in (*detections, *before)), default=-math.inf)
+    return kept, [one for one in likely if abs(newest_s - one.time_s) < _REMEMBERED_S]
+
+
+def _likeliest_first(one: Detection) -> tuple[float, float, str, float]:
+    return -one.p_mine, one.time_s, one.side, one.column
+
+
+def _repeats(one: Detection, other: Detection) -> bool:
+    """Check whether a detection shows the object that a likelier one of its passage has shown."""
+    if one.p_mine > other.p_mine or one.squint_rad != other.squint_rad or not same_passage(one, other):
+        return False
+    frame = LocalFrame(latitude_deg=other.latitude_deg, longitude_deg=other.longitude_deg, height_m=0.0)
+    east_m, north_m, _ = frame.to_enu(np.float64(one.latitude_deg), np.float64(one.longitude_deg), 0.0)
+    return math.hypot(east_m, north_m) < _ONE_OBJECT_M
