@@ -43,7 +43,7 @@ LINES: Final = {
     "sim_replay/scoring": Limit(2_170, 2_200),
     "sim_replay/simulator": Limit(6_640, 6_900),
     "sim_replay/view": Limit(2_650, 2_000),
-    "tests": Limit(84_665, 66_000),
+    "tests": Limit(84_670, 66_000),
 }
 LONG_FUNCTIONS: Final = Limit(5, 5)
 LONG_FILES: Final = Limit(0, 0)

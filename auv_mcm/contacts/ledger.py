@@ -2,11 +2,12 @@
 
 Which detections are views of the same object, and what they show together.
 
-Two detections of one passage are two objects: suppression has already merged echoes of one, and nothing lies to port
-and to starboard at once. Sub-apertures of a passage, known by their squints, are views of their own. A detection of
-another passage joins a contact within the gate of Mahalanobis distance, one-to-one over what arrives together, or opens
-a new one. Of several contacts it joins the one that it fits best by place and by kind: the two ends of a cylinder may
-have made a likely mine and a speck beside it, and what now looks like a mine is another view of the former.
+Two detections of one passage are two objects: suppression and `repeats` have already left one for each, and nothing
+lies to port and to starboard at once. Sub-apertures of a passage, known by their squints, are views of their own. A
+detection of another passage joins a contact within the gate of Mahalanobis distance, one-to-one over what arrives
+together, or opens a new one. Of several contacts it joins the one that it fits best by place and by kind: the two ends
+of a cylinder may have made a likely mine and a speck beside it, and what now looks like a mine is another view of the
+former.
 """
 
 from __future__ import annotations

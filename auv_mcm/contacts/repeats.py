@@ -26,7 +26,7 @@ _REMEMBERED_S: Final = 30.0  # of a passage, as the ledger has it
 def without_repeats(
     detections: Sequence[Detection], before: Sequence[Detection]
 ) -> tuple[list[Detection], list[Detection]]:
-    """Leave out what lies within two metres of a likelier mine of the same passage.
+    """Leave out what lies within two metres of a likelier mine of the same passage and side.
 
     Parameters
     ----------
@@ -61,7 +61,9 @@ def _likeliest_first(one: Detection) -> tuple[float, float, str, float]:
 
 def _repeats(one: Detection, other: Detection) -> bool:
     """Check whether a detection shows the object that a likelier one of its passage has shown."""
-    if one.p_mine > other.p_mine or one.squint_rad != other.squint_rad or not same_passage(one, other):
+    if one.p_mine > other.p_mine or not same_passage(one, other):
+        return False
+    if one.side != other.side or one.squint_rad != other.squint_rad:
         return False
     frame = LocalFrame(latitude_deg=other.latitude_deg, longitude_deg=other.longitude_deg, height_m=0.0)
     east_m, north_m, _ = frame.to_enu(np.float64(one.latitude_deg), np.float64(one.longitude_deg), 0.0)

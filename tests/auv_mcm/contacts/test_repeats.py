@@ -32,8 +32,15 @@ def test_of_two_ends_the_likelier_stays_whether_they_come_together_or_not() -> N
 
 @pytest.mark.parametrize(
     "other",
-    [{"east_m": 2.1}, {"time_s": 131.0}, {"heading_rad": math.radians(46.0)}, {"squint_rad": 0.05}, {"p_mine": 0.95}],
-    ids=["beyond a mine's length", "later", "after a turn", "another sub-aperture", "likelier, and later"],
+    [
+        {"east_m": 2.1},
+        {"time_s": 131.0},
+        {"heading_rad": 0.8},
+        {"squint_rad": 0.05},
+        {"side": "port"},
+        {"p_mine": 0.95},
+    ],
+    ids=["beyond a mine's length", "later", "after a turn", "other sub-aperture", "other side", "likelier, and later"],
 )
 def test_what_may_be_another_object_or_another_look_stays(other: dict[str, Any]) -> None:
     _, likely = without_repeats([view(0.0, 0.0, 100.0, **MINE)], [])
