@@ -28,8 +28,8 @@ from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import Contact, ContactClass, Detection, contact_id, contact_number
 from auv_mcm.settings.config import ContactsConfig
 
-# s within which one pass may show an object twice, in tiles that overlap; chosen, not measured
-_SAME_LOOK_S: Final = 30.0
+SAME_PASSAGE_S: Final = 30.0
+"""Time within which one pass may show an object twice, s, in tiles that overlap; chosen, not measured."""
 _SAME_LOOK_M: Final = 300.0  # m of track, 10 m/s for that time: a clock that was set may give it to a later pass
 _SAME_TRACK_M: Final = 10.0  # m of track on which no vehicle comes back on its course: however long it stops, one look
 _SAME_LOOK_RAD: Final = math.radians(45.0)
@@ -226,7 +226,7 @@ def _passages(detections: list[Detection]) -> list[list[Detection]]:
         if (
             passage
             and detection.squint_rad == passage[-1].squint_rad
-            and detection.time_s - passage[-1].time_s < _SAME_LOOK_S
+            and detection.time_s - passage[-1].time_s < SAME_PASSAGE_S
             and _turned_rad(detection, passage[0]) < _SAME_LOOK_RAD
         ):
             passage.append(detection)
@@ -250,7 +250,7 @@ def _beside(a: Detection, b: Detection) -> bool:
 
 def same_passage(a: Detection, b: Detection) -> bool:
     """Check whether two views are of one passage: what it shows twice may be two objects, but no second look."""
-    return abs(a.time_s - b.time_s) < _SAME_LOOK_S and _turned_rad(a, b) < _SAME_LOOK_RAD
+    return abs(a.time_s - b.time_s) < SAME_PASSAGE_S and _turned_rad(a, b) < _SAME_LOOK_RAD
 
 
 def _turned_rad(a: Detection, b: Detection) -> float:
